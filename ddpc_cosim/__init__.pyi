@@ -1,6 +1,7 @@
 """The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
 
 from .conditions import Conditions as Conditions
+from .conditions.condition import Condition as Condition, ConditionSetup as ConditionSetup
 from .controller import (
     OK as OK,
     Action as Action,
@@ -57,12 +58,17 @@ from .settings import (
     weight_matrix as weight_matrix,
 )
 from .signals import (
+    SIGNAL as SIGNAL,
     Constant as Constant,
+    Drift as Drift,
     GaussianNoise as GaussianNoise,
     Interpolated as Interpolated,
     ParameterChange as ParameterChange,
     Ramp as Ramp,
+    RecordedSignal as RecordedSignal,
     Reference as Reference,
+    Signal as Signal,
+    SignalFromFile as SignalFromFile,
     Sine as Sine,
     Steps as Steps,
     WhiteNoise as WhiteNoise,

@@ -3,16 +3,27 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Integral, Real
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim.codec import Kinds, Section, declared_fields
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.signals import Reference, type_faults
-from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.settings import setting
+from ddpc_cosim.signals import (
+    SIGNAL,
+    RecordedSignal,
+    Reference,
+    Signal,
+    Steps,
+    by_kind,
+    shown_without,
+    type_faults,
+)
+from ddpc_cosim.variables import FloatArray, Variable, converter
 
 # The stages whose sum modulo 2 is fed back, for registers of 2, 3, ... stages: their polynomials are
 # primitive, which makes the sequences as long as they can be (S. W. Golomb, Shift Register Sequences,
@@ -68,16 +79,45 @@ class Excitation(ABC):
         return self
 
 
-@dataclass(frozen=True, slots=True)
-class _Ranged(Excitation):
-    """What the excitations between two limits share."""
+@dataclass(frozen=True, slots=True, repr=False)
+class _Ranged(Section, Excitation):
+    """What the excitations between two limits share.
+
+    A study file has one for each input: its samples are the recording's, its seed is the case's.
+    """
 
     kind: ClassVar[str] = ""
 
-    low: float | Sequence[float]
-    high: float | Sequence[float]
-    samples: int
-    seed: int = 0
+    low: float | Sequence[float] = setting(doc="lowest value", unit=SIGNAL, written=float)
+    high: float | Sequence[float] = setting(doc="highest value", unit=SIGNAL, written=float)
+    samples: int = setting(doc="number of samples T", key=None)
+    seed: int = setting(0, doc="seed of the stream", key=None)
+    _: KW_ONLY
+    unit: str = setting("", doc="unit of low and high; empty: the variable's own")
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the limits, and with what the kind says besides."""
+        try:
+            self.made_for(1, 1e-9)
+        except ConfigError as error:
+            yield from (("", fault) for fault in error.faults)
+
+    def made_for(self, samples: int, sampling_time: float, **changes: Any) -> "_Ranged":
+        """Return the excitation for an experiment of so many samples, so far apart [s]."""
+        timing: dict[str, Any] = (
+            {"sampling_time": sampling_time} if hasattr(type(self), "sampling_time") else {}
+        )
+        return replace(self, samples=samples, **timing, **changes)
+
+    def of_inputs(
+        self, limits: Sequence[tuple[float, float]], samples: int, sampling_time: float
+    ) -> "_Ranged":
+        """Return the excitation of several inputs, with the limits of each in its own unit."""
+        low, high = zip(*limits, strict=True)
+        return self.made_for(samples, sampling_time, low=low, high=high, unit="")
+
+    def __repr__(self) -> str:
+        return shown_without(self, () if self.unit else ("unit",))
 
     def __post_init__(self) -> None:
         faults = []
@@ -93,7 +133,11 @@ class _Ranged(Excitation):
             faults.append(f"low ({self.low}) must be below high ({self.high})")
         faults += type_faults(self, float) or self._faults()
         if faults:
-            raise ConfigError([f"{self.kind} excitation: {fault}" for fault in faults])
+            raise ConfigError([f"{self._title} excitation: {fault}" for fault in faults])
+
+    @property
+    def _title(self) -> str:
+        return self.kind
 
     def with_seed(self, seed: int) -> "Excitation":
         """Return the excitation with the random numbers of another seed."""
@@ -110,7 +154,9 @@ class _Ranged(Excitation):
         for name in ("low", "high"):
             if np.shape(getattr(self, name)) not in ((), (inputs,)):
                 values = getattr(self, name)
-                raise ConfigError(f"{self.kind} excitation: {name} = {values}; needed: a number, or {inputs}")
+                raise ConfigError(
+                    f"{self._title} excitation: {name} = {values}; needed: a number, or {inputs}"
+                )
         low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
         # Twice the centred half range, in the order of the authors' program, gives its data to the last bit.
         drawn: FloatArray = (low + high) / 2 + (high - low) / 2 * self._shape(inputs)
@@ -128,7 +174,7 @@ class _Ranged(Excitation):
         return np.random.default_rng(np.random.SeedSequence(int(self.seed), spawn_key=(stream,)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class UniformRandom(_Ranged):
     """Independent uniform samples, one stream of ``numpy.random.RandomState`` for all inputs.
 
@@ -152,7 +198,7 @@ class UniformRandom(_Ranged):
         return np.asarray(2 * unit - 1)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class PRBS(_Ranged):
     """Pseudo-random binary sequence: two levels, from a shift register of maximum length.
 
@@ -168,9 +214,14 @@ class PRBS(_Ranged):
         Samples for which each value of the sequence is held: longer excites slower dynamics.
     """
 
-    kind: ClassVar[str] = "PRBS"
+    kind: ClassVar[str] = "prbs"
 
-    clock_period: int = field(default=1, kw_only=True)
+    _: KW_ONLY
+    clock_period: int = setting(1, doc="samples for which each value is held", low=1)
+
+    @property
+    def _title(self) -> str:
+        return "PRBS"
 
     def _faults(self) -> Iterator[str]:
         if not isinstance(self.clock_period, Integral) or self.clock_period < 1:
@@ -207,7 +258,7 @@ def maximum_length_sequence(taps: Sequence[int], start: int, length: int) -> NDA
     return np.frombuffer(bytes(out), dtype=np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Multisine(_Ranged):
     """Sum of sines of equal amplitude, at the harmonics of the experiment's length within a range.
 
@@ -232,10 +283,18 @@ class Multisine(_Ranged):
 
     kind: ClassVar[str] = "multisine"
 
-    sampling_time: float = field(kw_only=True)
-    min_frequency: float = field(default=0.0, kw_only=True)
-    max_frequency: float = field(default=np.inf, kw_only=True)
-    phases: Literal["schroeder", "random"] = field(default="schroeder", kw_only=True)
+    _: KW_ONLY
+    sampling_time: float = setting(doc="time between samples", unit="s", key=None)
+    min_frequency: float = setting(
+        0.0, doc="lowest frequency; 0: one period in the experiment", unit="Hz", low=0
+    )
+    max_frequency: float = setting(
+        np.inf,
+        doc="highest frequency; none: all below half the sampling frequency",
+        unit="Hz",
+        above=0,
+    )
+    phases: Literal["schroeder", "random"] = setting("schroeder", doc="low peaks, or drawn by the seed")
 
     def _faults(self) -> Iterator[str]:
         yield from _sampling_faults(self.sampling_time)
@@ -277,7 +336,7 @@ class Multisine(_Ranged):
         return np.roll(np.fft.irfft(spectrum, self.samples), begin)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Chirp(_Ranged):
     """Swept sine: its frequency goes from one value to another in the course of the experiment.
 
@@ -301,10 +360,11 @@ class Chirp(_Ranged):
 
     kind: ClassVar[str] = "chirp"
 
-    sampling_time: float = field(kw_only=True)
-    from_frequency: float = field(kw_only=True)
-    to_frequency: float = field(kw_only=True)
-    sweep: Literal["linear", "logarithmic"] = field(default="linear", kw_only=True)
+    _: KW_ONLY
+    sampling_time: float = setting(doc="time between samples", unit="s", key=None)
+    from_frequency: float = setting(doc="frequency at the beginning", unit="Hz", above=0)
+    to_frequency: float = setting(doc="frequency at the end", unit="Hz", above=0)
+    sweep: Literal["linear", "logarithmic"] = setting("linear", doc="how the frequency changes over time")
 
     def _faults(self) -> Iterator[str]:
         faults = list(_sampling_faults(self.sampling_time))
@@ -415,6 +475,60 @@ class MixedExcitation(Excitation):
         order = np.argsort([i for _, part in self.parts for i in part])
         mixed: FloatArray = drawn[:, order]
         return mixed
+
+
+EXCITATIONS = by_kind(UniformRandom, PRBS, Multisine, Chirp, Steps, RecordedSignal)
+"""What may excite an input, by its kinds."""
+InputExcitation = Annotated[Any, Kinds(EXCITATIONS, default="uniform")]
+"""What excites one input, as a file says it: between two limits, or a signal over the experiment's time."""
+
+
+def excited_together(entry: Any, name: str) -> object:
+    """Return what inputs share that are excited by one for all of them; of a signal, each has its own."""
+    if isinstance(entry, Signal):
+        return name
+    fields = declared_fields(type(entry)).values()
+    own = {one.name: getattr(entry, one.name) for one in fields if one.name not in ("low", "high", "unit")}
+    return type(entry), *own.items()
+
+
+def excitation_of(
+    entries: Sequence[tuple[Any, Variable]], samples: int, sampling_time: float, *, is_added: bool
+) -> Excitation:
+    """Return the excitation of inputs that are excited together, in their units.
+
+    Parameters
+    ----------
+    entries : sequence of (InputExcitation, Variable)
+        What a file says of each input.
+    samples, sampling_time : int, float
+        Number of samples T, and the time between them [s].
+    is_added : bool
+        The excitation is added to the inputs of a controller: its values are differences.
+
+    Raises
+    ------
+    ConfigError
+        It is not possible.
+    DataError
+        All that is wrong with the file of a signal.
+    """
+    first, variable = entries[0]
+    if isinstance(first, Signal):
+        signal = (
+            first.rows(variable, samples, sampling_time, difference=is_added)
+            if isinstance(first, RecordedSignal)
+            else first.in_unit(variable, difference=is_added)
+        )
+        return SignalExcitation((signal,), samples, sampling_time)
+    limits = [_limits(entry, of, is_added=is_added) for entry, of in entries]
+    made: Excitation = first.of_inputs(limits, samples, sampling_time)
+    return made
+
+
+def _limits(entry: Any, variable: Variable, *, is_added: bool) -> tuple[float, float]:
+    convert = converter(variable, entry.unit, difference=is_added)
+    return float(convert(entry.low)), float(convert(entry.high))
 
 
 def sampling_faults(excitation: Excitation, sampling_time: float) -> list[str]:

@@ -8,12 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, delay_error, may_have
+from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Bounds, Loop, Recording
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.signals import Constant, GaussianNoise, ParameterChange, Reference, values_at
+from ddpc_cosim.signals import (
+    Constant,
+    GaussianNoise,
+    ParameterChange,
+    Reference,
+    in_unit_of,
+    values_at,
+)
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
@@ -187,7 +194,7 @@ class LoopSetup:
         conditions = conditions or Conditions()
         if open_loop:
             resting = {variable.name: Constant(variable.start) for variable in plant.inputs}
-            conditions = replace(conditions, inputs={**resting, **conditions.inputs})
+            conditions = conditions.with_inputs({**resting, **conditions.inputs})
         self._conditions, self._open_loop = conditions, open_loop
         self.inputs = tuple(v for v in plant.inputs if v.name not in conditions.inputs)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
@@ -217,9 +224,9 @@ class LoopSetup:
             faults += _unknown(key, getattr(conditions, key), signals)
         if not self.inputs and not self._open_loop:
             faults.append("inputs: every input of the plant has a signal; leave one to the controller")
-        for name, delay in conditions.delay.items():
-            if fault := delay_error(delay, self.sampling_time):
-                faults.append(f"delay of {name}: {fault}")
+        faults += [
+            f"{key} of {name}: {fault}" for key, name, fault in conditions.faults_in(self.sampling_time)
+        ]
         if faults:
             raise ConfigError([f"conditions: {fault}" for fault in faults])
 
@@ -249,9 +256,8 @@ class LoopSetup:
         """
         run = "experiment" if in_experiment else "run"
         faults = [
-            f"conditions: delay of {name}: {fault}"
-            for name, delay in self._conditions.delay.items()
-            if (fault := delay_error(delay, self.sampling_time, len(time) - 1, run))
+            f"conditions: {key} of {name}: {fault}"
+            for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
         if faults:
             raise ConfigError(faults)
@@ -275,8 +281,9 @@ class LoopSetup:
         if missing:
             raise ConfigError(f"reference: none for {', '.join(missing)}")
         table = np.empty((len(time), len(self.outputs)))
-        for i, name in enumerate(names(self.outputs)):
-            table[:, i] = values_at(reference[name], f"reference of {name}", time)
+        for i, variable in enumerate(self.outputs):
+            what = f"reference of {variable.name}"
+            table[:, i] = values_at(in_unit_of(variable, reference[variable.name]), what, time)
         table.setflags(write=False)  # controllers are handed views of it
         return table
 

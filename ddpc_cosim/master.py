@@ -214,7 +214,7 @@ def cosimulate(
     warnings = recording_warnings(loop, table) if learns else ()
     warnings += controller_warnings(controller)
     rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
-    accepts_missing = conditions is None or not conditions.loss or does_accept_missing(controller)
+    accepts_missing = conditions is None or not conditions.loses or does_accept_missing(controller)
     setup.start(rows.time, continues=continue_recording, accepts_missing=accepts_missing)
     outcome, reason, transient = _closed_loop(setup, controller, rows, y_plant, events)
     try:

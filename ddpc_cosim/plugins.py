@@ -26,7 +26,7 @@ from ddpc_cosim.errors import PluginError
 from fmu_plants.files import cached as cached, write_atomically as write_atomically  # for plug-ins
 from fmu_plants.spelling import did_you_mean
 
-KINDS = ("plants", "controllers", "studies", "metrics", "reports")
+KINDS = ("plants", "controllers", "studies", "metrics", "conditions", "reports")
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,6 +123,16 @@ class SettingInfo:
     predicts : bool or mapping of str to Any
         Whether it is searched by the prediction error as well, which it has to change without changing how
         far ahead is predicted; a mapping: where other settings have these values.
+    below : float
+        The number must be less than this.
+    infinite : bool
+        Whether a number need not be finite.
+    key : str or None
+        Its name in a file; empty: that in Python; None: no file says it.
+    required : bool
+        Whether a file has to say it, though Python has a default.
+    written : type or None
+        Its type in a file, where that differs.
     """
 
     doc: str
@@ -136,19 +146,36 @@ class SettingInfo:
     plant: bool = False
     search: Search | None = None
     predicts: bool | Mapping[str, Any] = False
+    below: float = math.inf
+    infinite: bool = False
+    key: str | None = ""
+    required: bool = False
+    written: Any = None
 
     @property
     def allowed(self) -> str:
         """The allowed values in words."""
         if self.choices:
             return "one of " + ", ".join(map(repr, self.choices))
-        limits = ((">", self.above), (">=", self.low), ("<=", self.high))
+        limits = ((">", self.above), (">=", self.low), ("<=", self.high), ("<", self.below))
         return " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit)) or "any"
 
     def admits(self, number: float) -> bool:
         """Whether a number is finite and in range."""
         # An integer of any length is finite, but some are beyond what can be computed with.
-        return abs(number) <= sys.float_info.max and number > self.above and self.low <= number <= self.high
+        return not self.needed_of(number)
+
+    def needed_of(self, number: float) -> str:
+        """Return what a number would have to be, if it is not possible: ``greater than 0``."""
+        if not (abs(number) <= sys.float_info.max or self.infinite):
+            return "a finite number"
+        limits = (
+            (number <= self.above > -math.inf, "greater than", self.above),
+            (number < self.low, "greater than or equal to", self.low),
+            (number > self.high, "less than or equal to", self.high),
+            (number >= self.below < math.inf, "less than", self.below),
+        )
+        return next((f"{words} {limit}" for is_beyond, words, limit in limits if is_beyond), "")
 
 
 P = ParamSpec("P")
@@ -194,6 +221,11 @@ def setting(
     plant: bool = False,
     search: Search | None = None,
     predicts: bool | Mapping[str, Any] = False,
+    below: float = math.inf,
+    infinite: bool = False,
+    key: str | None = "",
+    required: bool = False,
+    written: Any = None,
     default_factory: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.
@@ -201,12 +233,28 @@ def setting(
     Parameters
     ----------
     default, default_factory
-        As in :func:`dataclasses.field`; without either the setting is required.
+        As in :func:`dataclasses.field`, but that a list or a dict is one for each object; without either the
+        setting is required.
     doc, low, high, above, choices, unit, kind, file, plant, search, predicts
         See :class:`SettingInfo`.
+    below, infinite, key, required, written
+        The same.
     """
-    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file, plant, search, predicts)
-    return dataclasses.field(default=default, default_factory=default_factory, metadata={"setting": info})
+    given = (doc, low, high, above, tuple(choices), unit, kind, file, plant, search, predicts)
+    info = SettingInfo(*given, below, infinite, key, required, written)
+    if isinstance(default, list | dict):
+        default, default_factory = dataclasses.MISSING, default.copy
+    return dataclasses.field(
+        default=default,
+        default_factory=default_factory,
+        metadata={"setting": info},
+    )
+
+
+def setting_of(field: "dataclasses.Field[Any]") -> SettingInfo | None:
+    """Return what a dataclass field declares with :func:`setting`; None where it does not."""
+    info: SettingInfo | None = field.metadata.get("setting")
+    return info
 
 
 def declared_settings(plugin: type[Any]) -> dict[str, SettingInfo]:

@@ -3,15 +3,19 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from numbers import Integral, Real
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, get_origin
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
+from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.settings import setting
+from ddpc_cosim.variables import FloatArray, Variable, converter
 
 # A sample time k*Ts can lie one rounding error before the instant it stands for.
 _RELATIVE_TIME_TOLERANCE = 1e-12
@@ -39,10 +43,14 @@ def type_faults(signal: Any, *kinds: object) -> list[str]:
     return [
         f"{one.name} = {getattr(signal, one.name)!r} is not possible; needed: {words}"
         for one in fields(signal)
-        if one.type in (kinds or _NEEDED)
-        for words, fits in (_NEEDED[one.type],)
+        if (kind := _bare(one.type)) in (kinds or _NEEDED)
+        for words, fits in (_NEEDED[kind],)
         if not fits(getattr(signal, one.name))
     ]
+
+
+def _bare(kind: Any) -> Any:
+    return kind.__origin__ if get_origin(kind) is Annotated else kind
 
 
 def _check_types(signal: Any) -> None:
@@ -82,11 +90,74 @@ def values_at(signal: Reference, what: str, time: FloatArray) -> FloatArray:
     return values
 
 
-@dataclass(frozen=True, slots=True)
-class Constant(Reference):
+SIGNAL = "of the signal"
+"""The unit of what is in the unit of the signal that it is about."""
+Numbers = Annotated[Sequence[float], Size(1)]
+"""Numbers, at least one of them."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Signal(Section, Reference):
+    """A signal that a study file can say: its fields are the keys of its table.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of its values; empty: that of the signal that it is for.
+    """
+
+    kind: ClassVar[str] = ""
+
+    _: KW_ONLY
+    unit: str = setting("", doc="unit of the values here; empty: the variable's own")
+
+    def in_unit(self, variable: Variable, *, difference: bool = False) -> Reference:
+        """Return the signal in a variable's own unit; a ``difference`` is added to it.
+
+        Raises
+        ------
+        ConfigError
+            It has a unit that does not fit.
+        DataError
+            All that is wrong with its file.
+        """
+        if not self.unit:
+            return self
+        convert = converter(variable, self.unit, difference=difference)
+        return replace(self, unit="", **self._converted(convert))
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        """Return what is in the unit of the signal, in another one."""
+        found = dict[str, Any]()
+        for one in declared_fields(type(self)).values():
+            if one.info.unit == SIGNAL:
+                value = getattr(self, one.name)
+                is_one = isinstance(value, Real)
+                found[one.name] = float(convert(value)) if is_one else tuple(float(convert(v)) for v in value)
+        return found
+
+    def __repr__(self) -> str:
+        return shown_without(self, () if self.unit else ("unit",))
+
+
+def in_unit_of(variable: Variable, signal: Reference, *, difference: bool = False) -> Reference:
+    """Return a signal of any class in a variable's own unit; errors as of :meth:`Signal.in_unit`."""
+    return signal.in_unit(variable, difference=difference) if isinstance(signal, Signal) else signal
+
+
+def shown_without(value: Any, names: Sequence[str]) -> str:
+    """Return what ``repr`` shows of a dataclass object, without some of its fields."""
+    shown = (f"{one.name}={getattr(value, one.name)!r}" for one in fields(value) if one.name not in names)
+    return f"{type(value).__qualname__}({', '.join(shown)})"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Constant(Signal):
     """One value for all time."""
 
-    value: float = 0.0
+    kind: ClassVar[str] = "constant"
+
+    value: float = setting(0.0, doc="the value", unit=SIGNAL, required=True)
 
     def __post_init__(self) -> None:
         _check_types(self)
@@ -96,8 +167,8 @@ class Constant(Reference):
         return np.full(time.shape, self.value)
 
 
-@dataclass(frozen=True, slots=True)
-class Steps(Reference):
+@dataclass(frozen=True, slots=True, repr=False)
+class Steps(Signal):
     """Piecewise constant: ``values[i]`` from ``times[i]`` on; the first value also before.
 
     Parameters
@@ -113,8 +184,12 @@ class Steps(Reference):
         Different lengths, nothing at all, or times that do not increase.
     """
 
-    times: Sequence[float]
-    values: Sequence[float]
+    kind: ClassVar[str] = "steps"
+
+    times: Numbers = setting(
+        doc="instants; those of an excitation count from the start of the experiment", unit="s"
+    )
+    values: Numbers = setting(doc="one value for each instant", unit=SIGNAL)
 
     def __post_init__(self) -> None:
         _check_types(self)
@@ -127,6 +202,9 @@ class Steps(Reference):
         if faults:
             raise ConfigError(faults)
 
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        return {"times": tuple(self.times), **super(Steps, self)._converted(convert)}
+
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         late = time + _RELATIVE_TIME_TOLERANCE * np.maximum(1.0, np.abs(time))
@@ -134,26 +212,30 @@ class Steps(Reference):
         return np.asarray(self.values, dtype=float)[np.maximum(index, 0)]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Interpolated(Steps):
     """Linear between ``values[i]`` at ``times[i]`` and the next; the first value also before, the last after.
 
     Parameters and errors as of :class:`Steps`.
     """
 
+    kind: ClassVar[str] = "interpolated"
+
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         return np.interp(time, self.times, self.values)
 
 
-@dataclass(frozen=True, slots=True)
-class Ramp(Reference):
+@dataclass(frozen=True, slots=True, repr=False)
+class Ramp(Signal):
     """Linear from ``start`` to ``stop`` between two instants, constant outside them."""
 
-    start: float
-    stop: float
-    start_time: float
-    stop_time: float
+    kind: ClassVar[str] = "ramp"
+
+    start: float = setting(doc="value until from_time", unit=SIGNAL, key="from_value")
+    stop: float = setting(doc="value from to_time on", unit=SIGNAL, key="to_value")
+    start_time: float = setting(doc="where it begins", unit="s", key="from_time")
+    stop_time: float = setting(doc="where it ends", unit="s", key="to_time")
 
     def __post_init__(self) -> None:
         _check_types(self)
@@ -167,25 +249,31 @@ class Ramp(Reference):
         return np.interp(time, (self.start_time, self.stop_time), (self.start, self.stop))
 
 
-@dataclass(frozen=True, slots=True)
-class Sine(Reference):
+@dataclass(frozen=True, slots=True, repr=False)
+class Sine(Signal):
     """``offset + amplitude * sin(2 pi frequency t + phase)``; frequency in Hz, phase in rad."""
 
-    amplitude: float
-    frequency: float
-    offset: float = 0.0
-    phase: float = 0.0
+    kind: ClassVar[str] = "sine"
+
+    amplitude: float = setting(doc="largest distance from the offset", unit=SIGNAL)
+    frequency: float = setting(doc="frequency", unit="Hz", above=0)
+    offset: float = setting(0.0, doc="what it varies about", unit=SIGNAL)
+    phase: float = setting(0.0, doc="phase at time 0", unit="rad")
 
     def __post_init__(self) -> None:
         _check_types(self)
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        offset = float(convert(self.offset))
+        return {"offset": offset, "amplitude": float(convert(self.offset + self.amplitude)) - offset}
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * time + self.phase)
 
 
-@dataclass(frozen=True, slots=True)
-class WhiteNoise(Reference):
+@dataclass(frozen=True, slots=True, repr=False)
+class WhiteNoise(Signal):
     """Independent normal values, one for each sample, about a mean; the same at every call.
 
     Parameters
@@ -198,8 +286,10 @@ class WhiteNoise(Reference):
         Seed of the values; where it is one of the conditions of a loop, the loop gives it one of its own.
     """
 
-    standard_deviation: float
-    mean: float = 0.0
+    kind: ClassVar[str] = "noise"
+
+    standard_deviation: float = setting(doc="standard deviation", unit=SIGNAL, low=0)
+    mean: float = setting(0.0, doc="what the values vary about", unit=SIGNAL)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -207,6 +297,11 @@ class WhiteNoise(Reference):
         if not 0 <= self.standard_deviation < math.inf:
             what = f"standard deviation = {self.standard_deviation}"
             raise ConfigError(f"noise: {what} is not possible; allowed: a finite number >= 0")
+
+    def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
+        mean = float(convert(self.mean))
+        deviation = abs(float(convert(self.mean + self.standard_deviation)) - mean)
+        return {"mean": mean, "standard_deviation": deviation}
 
     def with_seed(self, seed: int) -> "WhiteNoise":
         """Return noise of another seed."""
@@ -216,6 +311,97 @@ class WhiteNoise(Reference):
         """Return the values at the given times [s]; same shape as ``time``."""
         drawn = np.random.default_rng(self.seed).standard_normal(time.shape)
         return self.mean + self.standard_deviation * drawn
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class _OfFile(Signal):
+    """What the signals from a CSV file share."""
+
+    file: str = setting(doc="path of a CSV file, relative to the study file", file=True)
+    _: KW_ONLY
+    column: str = setting("", doc="header of the column, with or without its unit; empty: the signal's name")
+
+    def _column(self, variable: Variable, *, difference: bool) -> Column:
+        return Column(variable, self.column or variable.name, self.unit, difference)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Raise ConfigError: what a column holds depends on the signal that it is for."""
+        raise ConfigError(f"{self.file}: needed: in_unit(variable), which reads the file")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SignalFromFile(_OfFile):
+    """A column of a CSV file, over its time.
+
+    Parameters
+    ----------
+    file : str
+        Path of the file.
+    column : str
+        Header of the column, with or without its unit; empty: the signal's name.
+    time_column : str
+        Header of the time, in s or the unit it has.
+    interpolation : {"hold", "linear"}
+        What the signal is between two rows: the last value, or a straight line.
+    """
+
+    kind: ClassVar[str] = "file"
+
+    _: KW_ONLY
+    time_column: str = setting(
+        "time", doc="header of the time, in s or the unit it has", written=Annotated[str, Size(1)]
+    )
+    interpolation: Literal["hold", "linear"] = setting(
+        "hold", doc="what the signal is between two rows: the last value, or a straight line"
+    )
+
+    def in_unit(self, variable: Variable, *, difference: bool = False) -> Reference:
+        """Read the signal, in a variable's own unit; parameters and errors as of :class:`Signal`."""
+        column = self._column(variable, difference=difference)
+        time, values = read_table(Path(self.file), [column], self.time_column)
+        kind = Steps if self.interpolation == "hold" else Interpolated
+        return kind(tuple(time.tolist()), tuple(values[:, 0].tolist()))
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class RecordedSignal(_OfFile):
+    """A column of a CSV file, row by row, for an experiment; its times count from the first row.
+
+    Parameters
+    ----------
+    file : str
+        Path of the file.
+    column : str
+        Header of the column; empty: the input's name.
+    time_column : str
+        Header of the time; empty: the file has none.
+    """
+
+    kind: ClassVar[str] = "recorded"
+
+    _: KW_ONLY
+    time_column: str = setting("time", doc="header of the time; empty: the file has none")
+
+    def rows(self, variable: Variable, samples: int, sampling_time: float, *, difference: bool) -> Steps:
+        """Return the first rows, one for each sample; DataError: what is wrong with the file."""
+        column = self._column(variable, difference=difference)
+        _, values = read_table(Path(self.file), [column], self.time_column, sampling_time, TIME_TOLERANCE)
+        if len(values) < samples:
+            raise DataError(f"{self.file}: {len(values)} rows; needed: samples = {samples}")
+        time = np.arange(samples, dtype=np.float64) * sampling_time
+        return Steps(tuple(time.tolist()), tuple(values[:samples, 0].tolist()))
+
+
+def by_kind(*classes: Any) -> dict[str, type[Any]]:
+    """Return classes by their ``kind``."""
+    return {one.kind: one for one in classes}
+
+
+REFERENCES = by_kind(Constant, Steps, Interpolated, Ramp, Sine, SignalFromFile)
+"""The signals that a reference may be, by their kinds."""
+ReferenceSignal = Annotated[Reference, Kinds(REFERENCES)]
+InputSignal = Annotated[Reference, Kinds(REFERENCES | by_kind(WhiteNoise))]
+"""What may act on a plant: the same, and noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,11 +427,31 @@ class GaussianNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterChange:
+class ParameterChange(Section):
     """An event: tunable parameters that take new values at the first sample at or after ``time`` [s]."""
 
-    time: float
-    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    time: float = setting(doc="when it happens", unit="s")
+    parameters: Mapping[str, ParameterValue] = setting(
+        {}, doc="values by name", written=dict[str, bool | int | float | str], required=True
+    )
 
     def __post_init__(self) -> None:
         _check_types(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drift(Section):
+    """A tunable parameter that moves linearly from one value to another, in steps of one sample."""
+
+    parameter: str = setting(doc="the tunable parameter")
+    start: float = setting(doc="value until from_time", key="from_value")
+    stop: float = setting(doc="value from to_time on", key="to_value")
+    start_time: float = setting(doc="where it begins", unit="s", key="from_time")
+    stop_time: float = setting(doc="where it ends", unit="s", key="to_time")
+
+    def __post_init__(self) -> None:
+        self.path()
+
+    def path(self) -> Ramp:
+        """Return the parameter over time."""
+        return Ramp(self.start, self.stop, self.start_time, self.stop_time)

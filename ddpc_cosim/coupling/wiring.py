@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.settings import setting
 from ddpc_cosim.variables import FloatArray, Variable, names, unit_shown
 from fmu_plants.spelling import did_you_mean
 
@@ -34,11 +35,11 @@ class Connection:
         Whether units are converted and checked at all.
     """
 
-    source: str
-    target: str
-    factor: float = 1.0
-    offset: float = 0.0
-    convert_units: bool = True
+    source: str = setting(doc="an output, PART.variable, or an input of the system as a whole", key="from")
+    target: str = setting(doc="an input, PART.variable, or an output of the system as a whole", key="to")
+    factor: float = setting(1.0, doc="applied after the conversion of the unit")
+    offset: float = setting(0.0, doc="added then, in the unit there")
+    convert_units: bool = setting(True, doc="convert units, and require that they fit")
 
     def __str__(self) -> str:
         return f'connection from "{self.source}" to "{self.target}"'

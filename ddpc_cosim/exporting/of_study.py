@@ -122,13 +122,13 @@ def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = F
 def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: int) -> ResolvedStudy:
     """Return the study that is left when a case is all that is run."""
     study = resolved.study
-    parts = {
+    parts: dict[str, Any] = {
         "seeds": [seed],
         "controllers": {controller: study.controllers[controller]},
         "scenarios": {scenario: study.scenarios[scenario]},
         "report": type(study.report)(),
     }
-    return replace(resolved, study=study.model_copy(update=parts))
+    return replace(resolved, study=replace(study, **parts))
 
 
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec, content_of_plant
@@ -280,6 +280,7 @@ def _code_and_files(case: Case) -> dict[str, Any]:
         "code": [code_version(kind) for kind in types_in(_sections(case))],
         "files": [[hash_of_file(path) for path in paths] for paths in _files(case)],
         "plants": [content_of_plant(name) for name in _plants(case) if name],
+        **({"versions": versions} if (versions := case.conditions.versions) else {}),
     }
 
 
@@ -667,12 +668,12 @@ def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict
 
 def _events(scenario: "ScenarioSection", loop: "LoopSection") -> tuple[ParameterChange, ...]:
     """Return the parameter changes of a scenario; a drift is a change at every sample."""
-    changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
+    changes = list(scenario.events)
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
     early = EARLY * loop.sampling_time
     for drift in scenario.drifts:
-        path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
-        moving = (time > drift.from_time - early) & (time < drift.to_time + loop.sampling_time - early)
+        path = drift.path()
+        moving = (time > drift.start_time - early) & (time < drift.stop_time + loop.sampling_time - early)
         changes += [
             ParameterChange(float(t), {drift.parameter: float(value)})
             for t, value in zip(time[moving], path.at(time[moving]), strict=True)

@@ -2,9 +2,17 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ddpc_cosim.codec import (
+    InvalidFieldError,
+    ValidationErrors,
+    in_folder,
+    independent,
+    plant_in_folder,
+)
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ControllerError, MissingLibraryError, Place, PluginError
 from ddpc_cosim.safe_calls import (
@@ -28,13 +36,6 @@ from ddpc_cosim.study.file_format.sections import (
     Study,
 )
 from ddpc_cosim.study.file_format.sweeps import combinations, variant_label, variant_name
-from ddpc_cosim.study.file_format.validation_errors import (
-    InvalidFieldError,
-    ValidationErrors,
-    in_folder,
-    independent,
-    plant_in_folder,
-)
 from fmu_plants.files import is_file
 
 
@@ -83,7 +84,7 @@ class StudyController(NamedTuple):
         if self.varied:
             changes["label"] = variant_label(changes["label"], self.varied)
             changes |= {"variant_of": self.of, "varied": list(self.varied), "tuned": None}
-        return section.model_copy(update=changes)
+        return replace(section, **changes)
 
 
 @independent

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
+from ddpc_cosim.codec import read, write, write_in_short
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
@@ -81,14 +82,13 @@ class Scenario:
             "label": self.label,
             "parameters": dict(self.parameters),
             "noise": dict(noise),
-            "events": [{"time": one.time, "parameters": dict(one.parameters)} for one in self.events],
+            "events": [write(one) for one in self.events],
             "disturbances": disturbances,
             "inputs": {name: signal_table(f"input {name}", one) for name, one in conditions.inputs.items()},
             "preview": self.preview,
             "recording": _given({"inputs": recorded}),
         }
-        plain |= {key: dict(getattr(conditions, key)) for key in ("rate_limit", "delay", "quantum", "loss")}
-        return _given(plain)
+        return _given(plain | {key: dict(values) for key, values in conditions.effects.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,7 +269,7 @@ class Problem:
             {"name": name, **_plant(part, "plant"), **({"step": steps[name]} if name in steps else {})}
             for name, part in self.plant.items()
         ]
-        connections = [{"from": one.source, "to": one.target, **_more(one)} for one in self.connections]
+        connections = [write_in_short(one) for one in self.connections]
         return {"parts": parts, "connections": connections, **({"coupling": coupling} if coupling else {})}
 
     def _recording_table(self, path: str) -> Table:
@@ -289,7 +289,7 @@ class Problem:
         from ddpc_cosim.study.file_format.sections import PlantSection
         from ddpc_cosim.study.plants import PlantSpec
 
-        variables = PlantSpec.of(PlantSection.model_validate(self._plant_name()), Path()).variables()
+        variables = PlantSpec.of(read(PlantSection, self._plant_name()), Path()).variables()
         return list(getattr(variables, f"default_{which}") or getattr(variables, which))
 
 
@@ -302,13 +302,6 @@ def _plant(plant: Any, key: str) -> Table:
     if isinstance(plant, str):
         return {key: name_in_file(plant, lambda file: Path(file).resolve())}
     return {key: name_of("plants", plant, getattr(plant, "name", type(plant).__name__))}
-
-
-def _more(connection: Connection) -> Table:
-    """Return what a connection has besides its ends, where it differs from the default."""
-    default = Connection("", "")
-    keys = ("factor", "offset", "convert_units")
-    return {key: value for key in keys if (value := getattr(connection, key)) != getattr(default, key)}
 
 
 _NOTHING: tuple[Any, ...] = ({}, (), [], Conditions(), GaussianNoise({}))

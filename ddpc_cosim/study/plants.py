@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
+from ddpc_cosim.codec import in_folder, plant_in_folder
 from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
@@ -102,11 +103,6 @@ class PlantSpec:
         CosimError
             There is no such plant, or it cannot be loaded.
         """
-        from ddpc_cosim.study.file_format.validation_errors import (
-            in_folder,  # a worker, which opens plants, does without
-            plant_in_folder,
-        )
-
         spec = cls(
             name=plant_in_folder(folder, section.name),
             fmu=str(in_folder(folder, section.fmu)) if section.fmu else "",
@@ -299,7 +295,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     given = {part.name: part for part in section.parts}
     parts, faults = dict[str, PlantSpec](), list[str]()
     parameters = dict[str, ParameterValue]()
-    connections = [one.connection for one in section.connections]
+    connections = list(section.connections)
     connectors: tuple[Variable, ...] = ()
     experiment, understood = DefaultExperiment(), tuple[str, ...]()
     if section.ssp:

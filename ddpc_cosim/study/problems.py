@@ -1,10 +1,11 @@
 """Studies of several problems: their tables become one flat study for each, and are written as one again."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
 
+from ddpc_cosim.codec import ValidationErrors, declared_fields, read, write
 from ddpc_cosim.errors import Place
 from ddpc_cosim.study.file_format.replacing import (
     CONTROLLERS,
@@ -18,11 +19,10 @@ from ddpc_cosim.study.file_format.replacing import (
     without_panels_of,
 )
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
-from ddpc_cosim.study.file_format.validation_errors import ValidationErrors
 from ddpc_cosim.texts import encodable
 from fmu_plants.spelling import did_you_mean
 
-OF_HEAD = tuple(StudyHead.model_fields)
+OF_HEAD = tuple(declared_fields(StudyHead))
 _WORDS = ("title", "summary", "source")
 _OF_PROBLEM = (*_WORDS, "variant_of", "varied", *OF_PROBLEM, "report")
 
@@ -56,21 +56,20 @@ class WholeStudy:
     def of_tables(cls, tables: Table) -> Self:
         """Return the study that :meth:`tables` returned the tables of."""
         if PROBLEMS not in tables:
-            return cls.of(Study.model_validate(tables))
-        head = StudyHead.model_validate({key: tables[key] for key in OF_HEAD if key in tables})
+            return cls.of(read(Study, tables))
+        head = read(StudyHead, {key: tables[key] for key in OF_HEAD if key in tables})
         parts = flat_studies(tables, ValidationErrors())
-        return cls(head, {part.problem: Study.model_validate(part.tables) for part in parts})
+        return cls(head, {part.problem: read(Study, part.tables) for part in parts})
 
     def tables(self) -> Table:
         """Return the study as a file says it."""
-        written = {
-            name: one.model_dump(mode="python", exclude_none=True) for name, one in self.problems.items()
-        }
+        written = {name: write(one) for name, one in self.problems.items()}
         for one in written.values():
             if not one["variant_of"]:
                 del one["variant_of"], one["varied"]
         if self.is_flat:
-            return written[self.head.name]
+            only: Table = written[self.head.name]
+            return only
         controllers = {
             key: _shared({name: one[CONTROLLERS].get(key, False) for name, one in written.items()})
             for key in dict.fromkeys(key for one in written.values() for key in one[CONTROLLERS])
@@ -93,8 +92,8 @@ class WholeStudy:
         """Return the study on other seeds; on none: on its own."""
         if not seeds:
             return self
-        changed = {name: one.model_copy(update={"seeds": seeds}) for name, one in self.problems.items()}
-        head = changed[self.head.name] if self.is_flat else self.head.model_copy(update={"seeds": seeds})
+        changed = {name: replace(one, seeds=seeds) for name, one in self.problems.items()}
+        head = changed[self.head.name] if self.is_flat else replace(self.head, seeds=seeds)
         return type(self)(head, changed)
 
 

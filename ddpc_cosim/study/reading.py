@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ddpc_cosim.codec import ValidationErrors, declared_fields, read_in
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import find_modules_in
@@ -15,7 +16,6 @@ from ddpc_cosim.signals import values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import Fault, StudyFile, find_study
-from ddpc_cosim.study.file_format.validation_errors import ValidationErrors, parse
 from ddpc_cosim.study.problems import FlatStudy, flat_studies, has_key
 from ddpc_cosim.study.resolve import Known, ResolvedProblems, ResolvedStudy, resolve
 from ddpc_cosim.study.variants import with_variants
@@ -64,8 +64,8 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     head = None
     if PROBLEMS in tables:
         parts = list(flat_studies(tables, common))
-        own = {key: tables[key] for key in StudyHead.model_fields if key in tables}
-        head = parse(StudyHead, own, file.folder, common)
+        own = {key: tables[key] for key in declared_fields(StudyHead) if key in tables}
+        head = read_in(StudyHead, own, file.folder, common)
     if SWEEP in tables:
         parts = list(with_variants(parts, tables[SWEEP], common))
     # Where each error stands, and in which problems: one in what they share is told once.
@@ -75,7 +75,7 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     try:
         for part in parts:
             errors = ValidationErrors()
-            resolved = resolve(parse(Study, part.tables, file.folder, errors), file.folder, errors, known)
+            resolved = resolve(read_in(Study, part.tables, file.folder, errors), file.folder, errors, known)
             for place, messages in errors.found.items():
                 for message in messages:
                     within = found.setdefault((*file.origin(part.origin(place)), message), [])
@@ -90,7 +90,7 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         raise ConfigError(_in_order(found, parts, file))
     first = next(iter(problems.values())).study
     if head is None and len(problems) > 1:  # a flat file with variants
-        head = StudyHead.model_validate({key: getattr(first, key) for key in StudyHead.model_fields})
+        head = StudyHead(**{key: getattr(first, key) for key in declared_fields(StudyHead)})
     if type(count := tables.get("seeds")) is int and count > 1:
         several = f'for {count} seeds write "0:{count}"'
         warnings.warn(

@@ -1,11 +1,12 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.csv_files import forget_cells
@@ -27,7 +28,6 @@ from ddpc_cosim.study.controllers import (
 )
 from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import StudyFile
-from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
@@ -253,26 +253,25 @@ class _Resolution:
         largest = max((one.horizon for one in self.controllers), default=0)
         limits = map(loop.preview_of, self.study.scenarios.values())
         preview = max(largest if limit is None else min(limit, largest) for limit in limits)
-        return MetricSettings(preview, cost.model_dump() if cost else {}, installed_versions())
+        return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
 
     def _written_out(self) -> Study:
         """Return the study with every default filled in, every sweep written out and every path absolute."""
         study, recording = self.study, self.study.recording
-        plant = {
+        plant: dict[str, Any] = {
             "fmu": self.plant.fmu,
             "inputs": list(self.inputs.names),
             "outputs": list(self.outputs.names),
             "measurements": list(self.measurements.names),
         }
         if recording is not None and recording.controller is not None and self.stabiliser is not None:
-            controller = recording.controller.model_copy(update={"settings": self.stabiliser.settings})
-            recording = recording.model_copy(update={"controller": controller})
-        return study.model_copy(
-            update={
-                "plant": study.plant.model_copy(update=plant),
-                "controllers": {c.name: c.section(study.controllers[c.of]) for c in self.controllers},
-                "recording": recording,
-            }
+            controller = replace(recording.controller, settings=self.stabiliser.settings)
+            recording = replace(recording, controller=controller)
+        return replace(
+            study,
+            plant=replace(study.plant, **plant),
+            controllers={c.name: c.section(study.controllers[c.of]) for c in self.controllers},
+            recording=recording,
         )
 
     @independent
@@ -363,7 +362,7 @@ class _Resolution:
         """Return the keys below the plant's that a fault is of."""
         section = self.study.plant
         for i, one in enumerate(section.connections):
-            if fault.startswith(str(one.connection)):
+            if fault.startswith(str(one)):
                 return "connections", i
         for i, part in enumerate(section.parts):
             if fault.startswith(f'part "{part.name}"'):

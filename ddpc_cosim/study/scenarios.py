@@ -2,15 +2,15 @@
 
 import itertools
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
-from ddpc_cosim.conditions import Conditions, delay_error, may_have
+from ddpc_cosim.codec import Section, declared_fields, independent
+from ddpc_cosim.conditions import Conditions, all_conditions, may_have
 from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
-from ddpc_cosim.signals import Constant, Reference
-from ddpc_cosim.study.file_format.sections import DriftSection, EventSection, ScenarioSection
-from ddpc_cosim.study.file_format.signal_sections import InputSection, RampReference, StepsSection
-from ddpc_cosim.study.file_format.validation_errors import Section, independent
+from ddpc_cosim.signals import Constant, Drift, ParameterChange, Ramp, Reference, Steps
+from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
 from ddpc_cosim.variables import Variable
 
@@ -48,12 +48,19 @@ class Scenarios:
         undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
         known = may_have(driven, self.outputs.names, measured, self.variables.inputs)
         what_of_inputs, _ = known["inputs"]
-        for key, (what, names) in known.items():
-            errors.require_known((*place, key), what, getattr(scenario, key), names)
+        given: dict[str, Mapping[str, object]] = {
+            "disturbances": scenario.disturbances,
+            "inputs": scenario.inputs,
+        }
+        given |= scenario.effects
+        for key, values in given.items():
+            what, names = known[key]
+            errors.require_known((*place, key), what, values, names)
         for signal in scenario.inputs:
             self._check_undriven((*place, "inputs", signal), scenario, signal)
-        for signal, delay in scenario.delay.items():
-            self._check_delay((*place, "delay", signal), delay, scenario)
+        for key, values in scenario.effects.items():
+            for signal, value in values.items():
+                self._check_effect((*place, key, signal), key, value, scenario)
         variables, disturbances = {**self.variables.outputs, **self.variables.inputs}, {}
         for signal, parts in scenario.disturbances.items():
             at = (*place, "disturbances", signal)
@@ -76,10 +83,7 @@ class Scenarios:
             disturbances=disturbances,
             inputs=resting | inputs,
             recorded_inputs=recorded,
-            rate_limit=scenario.rate_limit,
-            delay=scenario.delay,
-            quantum=scenario.quantum,
-            loss=scenario.loss,
+            **scenario.effects,
         )
 
     @independent
@@ -97,25 +101,24 @@ class Scenarios:
         self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
         recording = changes.of(self.study.recording)
         if of_study is None:  # its faults are told at the study's own keys, and only there
-            recording = recording.model_copy(update={"excitation": changes.excitation})
+            recording = replace(recording, excitation=changes.excitation)
         return self.signals.experiment(recording, place)
 
     @independent
     def _check_in_run(self, place: Place, change: Section, key: str) -> None:
         """Report a change that would never act on the plant; the scenario would not be what it says."""
-        late = late_error(getattr(change, key), self.study.loop.end)
+        when = getattr(change, declared_fields(type(change))[key].name)
+        late = late_error(when, self.study.loop.end)
         if late:
             self.errors.add((*place, key), late, ("loop", "start_time"))
 
     @independent
-    def _check_event(self, place: Place, event: EventSection, tunable: Mapping[str, Variable]) -> None:
+    def _check_event(self, place: Place, event: ParameterChange, tunable: Mapping[str, Variable]) -> None:
         check_parameters(self.errors, (*place, "parameters"), "tunable parameter", event.parameters, tunable)
 
     @independent
-    def _check_drift(
-        self, place: Place, drift: DriftSection, key: str, tunable: Mapping[str, Variable]
-    ) -> None:
-        value, at = getattr(drift, key), (*place, key)
+    def _check_drift(self, place: Place, drift: Drift, key: str, tunable: Mapping[str, Variable]) -> None:
+        value, at = getattr(drift, declared_fields(Drift)[key].name), (*place, key)
         if key == "parameter":
             self.errors.require_known(at, "tunable parameter", [value], tunable)
         elif key != "to_time":
@@ -143,22 +146,22 @@ class Scenarios:
             self.errors.add(place, f"this input is set by {what} too; leave one of them out")
 
     @independent
-    def _check_delay(self, place: Place, delay: float, scenario: ScenarioSection) -> None:
-        loop, recording = self.study.loop, self.study.recording
-        fault = delay_error(delay, loop.sampling_time, loop.steps)
+    def _check_effect(self, place: Place, key: str, value: float, scenario: ScenarioSection) -> None:
+        loop, recording, kind = self.study.loop, self.study.recording, all_conditions()[key]
+        fault = kind.fault_of(value, loop.sampling_time, loop.steps)
         if recording is not None and scenario.recording is not None:
             recording = scenario.recording.of(recording)
         if not fault and recording is not None and recording.samples is not None:
-            fault = delay_error(delay, loop.sampling_time, recording.samples - 1, "experiment")
+            fault = kind.fault_of(value, loop.sampling_time, recording.samples - 1, "experiment")
         if fault:
             self.errors.add(place, fault)
 
     @independent
-    def _check_disturbance(self, place: Place, section: Section) -> None:
+    def _check_disturbance(self, place: Place, signal: Reference) -> None:
         """Report steps and ramps that begin when the run is over."""
         loop = self.study.loop
-        begins = {"times": section.times} if isinstance(section, StepsSection) else {}
-        begins |= {"from_time": [section.from_time]} if isinstance(section, RampReference) else {}
+        begins = {"times": signal.times} if type(signal) is Steps else {}
+        begins |= {"from_time": [signal.start_time]} if isinstance(signal, Ramp) else {}
         for key, times in begins.items():
             for late in filter(None, (late_error(t, loop.end) for t in times)):
                 self.errors.add((*place, key), late, ("loop", "start_time"))
@@ -172,7 +175,7 @@ class Scenarios:
 
     def _recorded_inputs(
         self, scenario: ScenarioSection, place: Place
-    ) -> Iterator[tuple[Place, Mapping[str, InputSection]]]:
+    ) -> Iterator[tuple[Place, Mapping[str, Reference]]]:
         """Yield what the study and then the scenario say of inputs in the experiment, and where."""
         if self.study.recording is not None:
             yield ("recording", "inputs"), self.study.recording.inputs

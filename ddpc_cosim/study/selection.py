@@ -1,17 +1,16 @@
 """The signals of a study that take part, and what its sections say of them, in their units."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
+from ddpc_cosim.codec import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.description import PlantDescription
 from ddpc_cosim.errors import ConfigError, DataError, Place
-from ddpc_cosim.excitations import Excitation, MixedExcitation
+from ddpc_cosim.excitations import Excitation, MixedExcitation, excitation_of, excited_together
 from ddpc_cosim.loop_setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.signals import Reference
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
-from ddpc_cosim.study.file_format.signal_sections import Excited, Experiment
-from ddpc_cosim.study.file_format.validation_errors import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.variables import Variable, converter
 
 K = TypeVar("K", str, int)
@@ -92,9 +91,9 @@ class SelectedSignals:
     ) -> dict[K, Reference]:
         """Return the signals of sections in their variables' units, where they can be built."""
         signals = {}
-        for name, convert in self.converters(place, sections, variables, difference=difference).items():
+        for name in self.converters(place, sections, variables, difference=difference):
             try:
-                signals[name] = sections[name].build(variables[name], convert)
+                signals[name] = sections[name].in_unit(variables[name], difference=difference)
             except DataError as error:
                 for fault in error.faults:
                     self.errors.add((*place, name, "file"), fault)
@@ -124,10 +123,13 @@ class SelectedSignals:
         """Return the excitation of all inputs, in their units; what is wrong with it is reported there."""
         sections, is_added = recording.excitation, recording.controller is not None
         converters = self.converters(place, sections, self.variables.inputs, difference=is_added)
-        groups: dict[str, list[str]] = {}
+        groups: dict[object, list[str]] = {}
         for name in (name for name in self.inputs.names if name in converters):
-            groups.setdefault(sections[name].group(name), []).append(name)
-        parts = [self._excitation_part(recording, place, group, converters) for group in groups.values()]
+            try:
+                groups.setdefault(excited_together(sections[name], name), []).append(name)
+            except InvalidFieldError:
+                groups[name] = [name]
+        parts = [self._excitation_part(recording, place, group) for group in groups.values()]
         if None in parts or not self.inputs.names or not converters.keys() >= set(self.inputs.names):
             return None
         numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
@@ -140,21 +142,18 @@ class SelectedSignals:
         recording: RecordingSection,
         place: Place,
         group: Sequence[str],
-        converters: Mapping[str, Callable[[float], float]],
     ) -> Excitation | None:
         """Return the excitation of inputs that are excited together."""
         place = (*place, group[0])
         if recording.samples is None or place in self.errors.found:
             return None
+        entries = [(recording.excitation[name], self.variables.inputs[name]) for name in group]
         is_added = recording.controller is not None
-        experiment = Experiment(recording.samples, self.study.loop.sampling_time, is_added)
-        inputs = [
-            Excited(recording.excitation[name], self.variables.inputs[name], converters[name])
-            for name in group
-        ]
         try:
-            excitation = inputs[0].section.build(inputs, experiment)
-            excitation_table(excitation, len(inputs))
+            excitation = excitation_of(
+                entries, recording.samples, self.study.loop.sampling_time, is_added=is_added
+            )
+            excitation_table(excitation, len(group))
         except DataError as error:
             for fault in error.faults:
                 self.errors.add((*place, "file"), fault)
@@ -162,7 +161,7 @@ class SelectedSignals:
             for fault in error.faults:
                 self.errors.add(place, fault)
         else:
-            return cast("Excitation", excitation)
+            return excitation
         return None
 
 

@@ -5,6 +5,7 @@ from copy import copy
 from functools import partial
 from typing import Any
 
+from ddpc_cosim.codec import ValidationErrors
 from ddpc_cosim.errors import Place
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP, Table, with_report
 from ddpc_cosim.study.file_format.sweeps import (
@@ -18,7 +19,6 @@ from ddpc_cosim.study.file_format.sweeps import (
     variant_label,
     variant_name,
 )
-from ddpc_cosim.study.file_format.validation_errors import ValidationErrors
 from ddpc_cosim.study.problems import OF_HEAD, FlatStudy
 
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.errors import ConfigError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.study.file_format.sections import PlantSection
@@ -66,7 +67,7 @@ class System:
 
     def __init__(self, path: Path) -> None:
         self._spec = PlantSpec.of(
-            PlantSection.model_validate({"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
+            read(PlantSection, {"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
         )
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()

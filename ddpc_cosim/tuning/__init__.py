@@ -373,11 +373,11 @@ class _Tuning:
     def _cases(self, settings: dict[str, Any]) -> list[Case]:
         """Return the runs of a trial."""
         study, section = self._one.study, self._section
-        section = section.model_copy(update={"settings": with_settings(section.settings, settings)})
+        section = replace(section, settings=with_settings(section.settings, settings))
         changes: dict[str, Any] = {"controllers": {self.search.name: section}}
         if self._request.by_prediction:  # which is known before the first sample
-            changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
-        changed = replace(self._one, study=study.model_copy(update=changes))
+            changes["loop"] = replace(study.loop, duration=study.loop.sampling_time)
+        changed = replace(self._one, study=replace(study, **changes))
         seeds = self._request.seeds
         return list(cases_of_problem(changed, self._plant, self.search.problem, seeds, self._patterns))
 
@@ -472,18 +472,18 @@ def _tuned_study(
                     at_ends=at_ends[of, name],
                 )
                 section = controllers[name]
-                changes = {"settings": with_settings(section.settings, found), "tuned": how}
-                controllers[name] = section.model_copy(update=changes)
-        problems[problem] = one.study.model_copy(update={"controllers": controllers})
+                settings = with_settings(section.settings, found)
+                controllers[name] = replace(section, settings=settings, tuned=how)
+        problems[problem] = replace(one.study, controllers=controllers)
     return _whole(resolved, problems, request.summary(list(dict.fromkeys(name for _, name in trials))))
 
 
 def _whole(resolved: ResolvedProblems, problems: dict[str, Study], summary: str) -> WholeStudy:
     """Return a study whose summary says what it is now: what it said was of other settings."""
-    head, said = resolved.head, {"summary": summary}
+    head = resolved.head
     if resolved.whole.is_flat:
-        return WholeStudy.of(problems[head.name].model_copy(update=said))
-    return WholeStudy(head.model_copy(update=said), problems)
+        return WholeStudy.of(replace(problems[head.name], summary=summary))
+    return WholeStudy(replace(head, summary=summary), problems)
 
 
 def _as_given(name: str) -> str:
@@ -506,8 +506,8 @@ def _with_given(
             if (problem, name) in trials:
                 given = resolved.problems[problem].study.controllers[name]
                 key = _as_given(name)
-                controllers[key] = given.model_copy(update={"label": f"{label}, as given"})
-                controllers[name] = section.model_copy(update={"label": f"{label}, tuned"})
+                controllers[key] = replace(given, label=f"{label}, as given")
+                controllers[name] = replace(section, label=f"{label}, tuned")
                 panels.append(Panel(title=label, controllers=[key, name]))
             elif (problem, name) in kept:
                 controllers[name] = section
@@ -520,7 +520,7 @@ def _with_given(
             limitations=study.report.limitations,
             reference_points=points if points and {points.zero, points.full} <= controllers.keys() else None,
         )
-        problems[problem] = study.model_copy(update={"controllers": controllers, "report": report})
+        problems[problem] = replace(study, controllers=controllers, report=report)
     summary = (
         f"Settings as given against tuned ones, on seeds that played no part in it. {tuned.head.summary}"
     )

@@ -28,7 +28,7 @@ PUBLIC_MODULES = {
 }
 VERDICTS = ("claims", "findings", "judgement", "ranks", "sentences", "shares", "standings", "statistics")
 PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
-PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
+PUBLIC_MODULES |= {"codec", "conditions", "study.file_format.sections", "study.file_format.sweeps"}
 
 
 def modules(room: str) -> dict[str, Path]:

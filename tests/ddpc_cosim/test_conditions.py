@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from ddpc_cosim import (
     Action,
     Conditions,
+    ConditionSetup,
     ConfigError,
     Constant,
     Controller,
@@ -30,6 +31,10 @@ from ddpc_cosim import (
     cosimulate,
     record,
 )
+from ddpc_cosim.codec import read, write
+from ddpc_cosim.conditions import all_conditions, may_have
+from ddpc_cosim.study.file_format.sections import ScenarioSection
+from ddpc_reports.tables.settings import scenario_effects
 
 H = 0.5
 STEPS = 40
@@ -457,3 +462,79 @@ def test_all_signals_that_are_not_there_are_told_at_once() -> None:
 def test_a_sensor_s_fault_needs_a_measurement() -> None:
     with pytest.raises(ConfigError, match='loss: no signal "x"'):
         run(Conditions(loss={"x": 0.5}), measurements=["z"])
+
+
+@given(
+    st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=30),
+    st.floats(0.0, 3.0),
+    st.floats(-1.0, 1.0),
+)
+def test_backlash_is_the_play_operator(u: list[float], width: float, rest: float) -> None:
+    """Its formula, sample by sample; and the plant is never further from the input than half the width."""
+    kind = all_conditions()["backlash"]
+    effect = kind(ConditionSetup("actuator", ("a",), np.array([width]), H, 0))
+    effect.start(H * np.arange(len(u)), np.array([rest]))
+    expected, v = [], rest
+    for value in u:
+        v = min(max(v, value - width / 2), value + width / 2)
+        expected.append(v)
+    played = [float(effect.apply(k, np.array([value]))[0]) for k, value in enumerate(u)]
+    assert played == expected
+    assert np.all(np.abs(np.array(played) - u) <= width / 2 + 1e-12)
+
+
+def test_the_plant_gets_an_input_after_its_backlash() -> None:
+    width, script = 0.8, commands()
+    trace = run(Conditions(backlash={"a": width}), Script(script=script))
+    expected, v = script.copy(), REST[0]
+    for k in range(STEPS + 1):
+        v = min(max(v, script[k, 0] - width / 2), script[k, 0] + width / 2)
+        expected[k, 0] = v
+    assert np.array_equal(trace.applied[:, 0], expected[:, 0])
+    assert np.allclose(trace.y, response(expected), atol=1e-12)
+
+
+def test_backlash_comes_after_the_delay_and_before_the_disturbance() -> None:
+    script, width = commands(), 0.6
+    conditions = Conditions(
+        delay={"a": H}, backlash={"a": width}, disturbances={"a": Constant(0.25)}, rate_limit={"a": 1.0}
+    )
+    trace = run(conditions, Script(script=script))
+    limited, late, v, expected = REST[0], REST[0], REST[0], []
+    for k in range(STEPS + 1):
+        before = limited
+        limited = np.clip(script[k, 0], limited - 1.0 * H, limited + 1.0 * H)
+        late = before
+        v = min(max(v, late - width / 2), late + width / 2)
+        expected.append(v + 0.25)
+    assert np.allclose(trace.applied[:, 0], expected, atol=1e-12)
+
+
+# A value of each kind that cannot go unnoticed.
+TOLD = {"rate_limit": 0.1, "delay": 2 * H, "backlash": 0.7, "quantum": 0.5, "loss": 0.6}
+
+
+@pytest.mark.parametrize("name", all_conditions())
+def test_a_condition_is_applied_said_in_a_file_and_in_python_and_told(name: str) -> None:
+    """Of every kind that is installed: what one of them knows and another does not is found here."""
+    kind, value = all_conditions()[name], TOLD[name]
+    signal = "a" if "actuator" in kind.places else "x"
+    without, having = run(Conditions()), run(Conditions(**{name: {signal: value}}))
+    changed = not np.array_equal(without.y, having.y) or not np.array_equal(
+        without.measured, having.measured, equal_nan=True
+    )
+    assert changed, "read and not applied"
+    scenario = read(ScenarioSection, {name: {signal: value}})
+    assert Conditions(**scenario.effects).effects == {name: {signal: value}}
+    assert write(scenario)[name] == {signal: value}
+    (effect,) = scenario_effects(scenario, {})
+    assert signal in effect.text
+    assert f"{value:g}" in effect.text.replace(",", ".")
+    words, signals = may_have(["a"], [], ["x"], ["a", "b"])[name]
+    assert signal in signals
+    assert words
+
+
+def test_a_condition_that_is_not_installed_is_refused_with_a_hint() -> None:
+    with pytest.raises(ConfigError, match=r'there is no condition backlas; did you mean "backlash"'):
+        Conditions(backlas={"a": 1.0})

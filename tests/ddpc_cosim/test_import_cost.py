@@ -62,10 +62,10 @@ def modules_after(code: str, tmp_path: Path) -> set[str]:
 
 def test_the_package(tmp_path: Path) -> None:
     loaded = modules_after("import ddpc_cosim", tmp_path)
-    assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy"})
+    assert not loaded & (HEAVY | {"numpy", "scipy", "fmpy"})
 
 
-LIGHT = HEAVY | {"numpy", "scipy", "pydantic", "fmpy", "rich"}
+LIGHT = HEAVY | {"numpy", "scipy", "fmpy", "rich"}
 SHOWN = """
 import contextlib, io
 from ddpc_cosim.cli.main import main
@@ -108,7 +108,7 @@ def test_completion_in_a_shell(
 def test_what_runs_an_fmu(tmp_path: Path) -> None:
     """Every process that loads an FMU pays for it."""
     loaded = modules_after("import ddpc_cosim.fmu.session", tmp_path)
-    assert not loaded & (HEAVY | {"scipy", "pydantic"})
+    assert not loaded & (HEAVY | {"scipy"})
 
 
 def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
@@ -191,4 +191,4 @@ def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run,
     for name in ("MFAPC", "DeePC", "WKPC", "MPC"):
         loaded = set(json.loads((tmp_path / f"Snooping{name}").read_text(encoding="utf-8")))
         assert "fmpy" in loaded
-        assert not loaded & (HEAVY | {"pydantic", "rich", "click"})
+        assert not loaded & (HEAVY | {"rich", "click"})

@@ -8,6 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
+from ddpc_cosim.codec import read
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.file_format.sections import Study
@@ -97,7 +98,7 @@ def make_study(controllers: dict[str, dict[str, Any]], **changes: Any) -> Study:
         "reference": {"angle": {"kind": "constant", "value": 20.0, "unit": "deg"}},
         "controllers": controllers,
     }
-    return Study.model_validate(content | changes)
+    return read(Study, content | changes)
 
 
 def make_results_in(

@@ -12,7 +12,7 @@ from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 
 _BUILT_IN = "ddpc_cosim.metrics:METRICS"
-Kind = Literal["plants", "controllers", "studies", "metrics", "reports"]
+Kind = Literal["plants", "controllers", "studies", "metrics", "conditions", "reports"]
 
 
 class Entry(TypedDict):

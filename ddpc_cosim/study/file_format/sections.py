@@ -2,35 +2,37 @@
 
 import itertools
 import math
+import re
 import reprlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, create_model
-
+from ddpc_cosim.codec import DeclaredField, Prepared, Rule, Section, Size, declared_fields, differing, shown
+from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.csv_files import TIME_TOLERANCE
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.excitations import InputExcitation
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
+from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search, setting
+from ddpc_cosim.signals import Drift, InputSignal, ParameterChange, ReferenceSignal
 from ddpc_cosim.study.case_files import DOING_NOTHING
-from ddpc_cosim.study.file_format.signal_sections import (
-    DisturbanceSection,
-    ExcitationSection,
-    Finite,
-    InputSection,
-    LinearSection,
-    NotNegative,
-    Positive,
-    ReferenceSection,
-    faults_of,
-)
 from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
-from ddpc_cosim.study.file_format.validation_errors import FilePath, PlantName, Section
 from ddpc_cosim.texts import printable
+from fmu_plants.spelling import did_you_mean
+
+
+def faults_of(rule: Callable[[], object]) -> Iterator[tuple[str, str]]:
+    """Yield what a rule of the loop says about values."""
+    try:
+        rule()
+    except ConfigError as error:
+        yield from (("", fault) for fault in error.faults)
 
 
 def _without_dots(name: str) -> str:
@@ -49,14 +51,24 @@ def not_reserved(name: str) -> str:
     return name
 
 
-Text = Annotated[str, AfterValidator(partial(printable, keep="\n"))]
+def _name(text: str) -> str:
+    if not re.fullmatch(_NAME, text):
+        rule = "letters, digits, dots, hyphens and underscores, the first one a letter or digit"
+        raise ValueError(f"must be {rule}, got {shown(text)}")
+    if len(text) > _LONGEST_NAME:
+        raise ValueError(f"must have at most {_LONGEST_NAME} characters, got {shown(text)}")
+    return text
+
+
+_NAME, _LONGEST_NAME = "[A-Za-z0-9][A-Za-z0-9._-]*", 60
+Text = Annotated[str, Rule(partial(printable, keep="\n"))]
 """What people read: nothing in it acts on a terminal or a page."""
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
-ControllerName = Annotated[Name, AfterValidator(not_reserved)]
-PartName = Annotated[str, AfterValidator(_without_dots)]
+Name = Annotated[str, Rule(_name, {"pattern": f"^{_NAME}$", "maxLength": _LONGEST_NAME})]
+ControllerName = Annotated[Name, Rule(not_reserved)]
+PartName = Annotated[str, Rule(_without_dots, {"pattern": r"^[^.]+$"})]
 FMIKind = Literal["auto", "co-simulation", "model-exchange"]
-Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
-Value = bool | int | Finite | str
+Preview = int | Literal["horizon"]
+Value = bool | int | float | str
 
 
 _SEEDS = 2**32
@@ -93,24 +105,29 @@ def expand_seeds(seeds: Any) -> list[int]:
     return list(dict.fromkeys(itertools.chain(*ranges)))
 
 
-Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
+_SEED = {"anyOf": [{"type": "integer", "minimum": 0}, {"type": "string", "pattern": r"^\d+(:\d+)?$"}]}
+_LIST_OF_SEEDS = {"type": "array", "items": _SEED, "minItems": 1}
+Seeds = Annotated[
+    list[int], Prepared(expand_seeds, {"if": {"type": "array"}, "then": _LIST_OF_SEEDS, "else": _SEED})
+]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PartSection(Section):
     """One part of a coupled plant; of an SSP archive, what differs for it."""
 
-    name: PartName = Field(description="its name; its signals are called NAME.variable")
-    plant: PlantName = Field(
-        "", description="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT"
+    name: PartName = setting(doc="its name; its signals are called NAME.variable")
+    plant: str = setting(
+        "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
     )
-    fmu: FilePath = Field("", description="path of an FMU, relative to the study file")
-    parameters: dict[str, Value] = Field({}, description="parameters that differ from its defaults")
-    start: dict[str, Finite] = Field({}, description="start values of its inputs; empty: its own")
-    step: Positive | None = Field(
-        None, description="its own step, which divides the communication step [s]; none: that step"
+    fmu: str = setting("", doc="path of an FMU, relative to the study file", file=True)
+    parameters: dict[str, Value] = setting({}, doc="parameters that differ from its defaults")
+    start: dict[str, float] = setting({}, doc="start values of its inputs; empty: its own")
+    step: float | None = setting(
+        None, doc="its own step, which divides the communication step [s]; none: that step", above=0
     )
-    fmi_type: FMIKind = Field("auto", description="how the FMU is run; auto: Co-Simulation if it has it")
-    isolated: bool = Field(False, description="run the FMU in a process of its own")
+    fmi_type: FMIKind = setting("auto", doc="how the FMU is run; auto: Co-Simulation if it has it")
+    isolated: bool = setting(False, doc="run the FMU in a process of its own")
 
     @property
     def label(self) -> str:
@@ -118,86 +135,63 @@ class PartSection(Section):
         return shown_name(self.plant) or Path(self.fmu).name
 
 
-# "from" is a word of Python, which no class can spell.
-_FROM: Any = {
-    "from": (str, Field(description="an output, PART.variable, or an input of the system as a whole"))
-}
-_From: Any = create_model("_From", __base__=Section, **_FROM)
-
-
-class ConnectionSection(_From):
-    """A signal that follows another one, in the unit that it has there."""
-
-    to: str = Field(description="an input, PART.variable, or an output of the system as a whole")
-    factor: Finite = Field(1.0, description="applied after the conversion of the unit")
-    offset: Finite = Field(0.0, description="added then, in the unit there")
-    convert_units: bool = Field(True, description="convert units, and require that they fit")
-
-    @property
-    def connection(self) -> Connection:
-        """The connection."""
-        ends = getattr(self, "from"), self.to
-        return Connection(*ends, self.factor, self.offset, self.convert_units)
-
-
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CouplingSection(Section):
     """How and when parts exchange their signals."""
 
-    algorithm: Literal["sequential", "parallel"] = Field(
+    algorithm: Literal["sequential", "parallel"] = setting(
         "sequential",
-        description="parallel: all parts step on what was known; sequential: on what those before them gave",
+        doc="parallel: all parts step on what was known; sequential: on what those before them gave",
     )
-    communication_step: Positive | None = Field(
-        None, description="time between exchanges, which divides the sampling time [s]; none: that time"
+    communication_step: float | None = setting(
+        None, doc="time between exchanges, which divides the sampling time [s]; none: that time", above=0
     )
-    extrapolation: Literal["hold", "linear"] = Field(
-        "hold", description="inputs from other parts during a step"
+    extrapolation: Literal["hold", "linear"] = setting("hold", doc="inputs from other parts during a step")
+    loop_tolerance: float | None = setting(
+        None, doc="tolerance of algebraic loops, relative to nominal values", above=0
     )
-    loop_tolerance: Positive | None = Field(
-        None, description="tolerance of algebraic loops, relative to nominal values"
-    )
-    error_tolerance: Positive | None = Field(
-        None,
-        description="error that a sample may add, for which steps are repeated; none: they are not",
+    error_tolerance: float | None = setting(
+        None, doc="error that a sample may add, for which steps are repeated; none: they are not", above=0
     )
 
     @property
     def options(self) -> dict[str, Any]:
         """What differs from the defaults of a coupled plant."""
-        return self.model_dump(exclude_defaults=True)
+        return differing(self)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlantSection(Section):
     """Which plant, and which of its variables take part; one of ``name``, ``fmu``, ``ssp`` and ``parts``."""
 
-    name: PlantName = Field(
-        "", description="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT"
+    name: str = setting(
+        "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
     )
-    fmu: str = Field("", description="path of an FMU, relative to the study file")
-    ssp: FilePath = Field("", description="path of an SSP archive, relative to the study file")
-    parts: list[PartSection] = Field([], description="the parts of a coupled plant")
-    connections: list[ConnectionSection] = Field([], description="what the parts exchange")
-    coupling: CouplingSection | None = Field(None, description="how the parts are coupled")
-    inputs: list[str] = Field([], description="inputs that the controller drives; empty: all")
-    outputs: list[str] = Field([], description="controlled outputs; empty: all")
-    measurements: list[str] = Field(
-        [], description="what the controller may measure; empty: the controlled outputs"
+    fmu: str = setting("", doc="path of an FMU, relative to the study file")
+    ssp: str = setting("", doc="path of an SSP archive, relative to the study file", file=True)
+    parts: list[PartSection] = setting([], doc="the parts of a coupled plant")
+    connections: list[Connection] = setting([], doc="what the parts exchange")
+    coupling: CouplingSection | None = setting(None, doc="how the parts are coupled")
+    inputs: list[str] = setting([], doc="inputs that the controller drives; empty: all")
+    outputs: list[str] = setting([], doc="controlled outputs; empty: all")
+    measurements: list[str] = setting(
+        [], doc="what the controller may measure; empty: the controlled outputs"
     )
-    parameters: dict[str, Value] = Field({}, description="parameters that differ from the plant's defaults")
-    start: dict[str, Finite] = Field(
+    parameters: dict[str, Value] = setting({}, doc="parameters that differ from the plant's defaults")
+    start: dict[str, float] = setting(
+        {}, doc="values that inputs start from and rest at, in their units; empty: the plant's own"
+    )
+    display_units: dict[str, str] = setting(
+        {}, doc="units to show variables in; empty: those of the plant's description"
+    )
+    nominal: dict[str, float] = setting(
         {},
-        description="values that inputs start from and rest at, in their units; empty: the plant's own",
+        doc="nominal values, which controllers scale by, in the variables' units; empty: the plant's",
+        above=0,
     )
-    display_units: dict[str, str] = Field(
-        {}, description="units to show variables in; empty: those of the plant's description"
-    )
-    nominal: dict[str, Positive] = Field(
-        {},
-        description="nominal values, which controllers scale by, in the variables' units; empty: the plant's",
-    )
-    fmi_type: FMIKind = Field("auto", description="how the FMU is run; auto: Co-Simulation if it has it")
-    isolated: Literal["auto", True, False] = Field(
-        "auto", description="run each case in a process of its own; auto: if the FMU is a supplied file"
+    fmi_type: FMIKind = setting("auto", doc="how the FMU is run; auto: Co-Simulation if it has it")
+    isolated: Literal["auto", True, False] = setting(
+        "auto", doc="run each case in a process of its own; auto: if the FMU is a supplied file"
     )
     moved: ClassVar[Mapping[str, str]] = {"step_timeout": "loop.step_timeout"}
 
@@ -235,25 +229,25 @@ class PlantSection(Section):
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSection(Section):
     """Timing of the closed loop."""
 
-    sampling_time: Positive = Field(description="time between samples [s]")
-    duration: Positive = Field(description="simulated time of the closed loop [s]")
-    start_time: Finite = Field(0.0, description="time of the first sample [s]")
-    start: Literal["rest", "recording-end"] = Field(
-        "rest", description="start from the plant's initial state, or where the recording ended"
+    sampling_time: float = setting(doc="time between samples [s]", above=0)
+    duration: float = setting(doc="simulated time of the closed loop [s]", above=0)
+    start_time: float = setting(0.0, doc="time of the first sample [s]")
+    start: Literal["rest", "recording-end"] = setting(
+        "rest", doc="start from the plant's initial state, or where the recording ended"
     )
-    step_timeout: Positive = Field(
-        DEFAULT_STEP_TIMEOUT, description="longest time for any call of the plant or of a controller [s]"
+    step_timeout: float = setting(
+        DEFAULT_STEP_TIMEOUT, doc="longest time for any call of the plant or of a controller [s]", above=0
     )
-    case_timeout: Positive | None = Field(None, description="longest time for a whole case [s]; none: any")
-    memory_limit: Positive | None = Field(
-        None, description="memory that a case may have [GB]; none: its share of the machine's (Linux)"
+    case_timeout: float | None = setting(None, doc="longest time for a whole case [s]; none: any", above=0)
+    memory_limit: float | None = setting(
+        None, doc="memory that a case may have [GB]; none: its share of the machine's (Linux)", above=0
     )
-    preview: Preview = Field(
-        "horizon",
-        description="future references that any controller may see; horizon: as many as it asks for",
+    preview: Preview = setting(
+        "horizon", low=0, doc="future references that any controller may see; horizon: as many as it asks for"
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
@@ -279,12 +273,13 @@ class LoopSection(Section):
         return None if preview == "horizon" else preview
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BoundsSection(Section):
     """Limits of one input or controlled output; one left out is the plant's, an infinite one is none."""
 
-    min: float | None = Field(None, description="lower limit; -inf: none, though the plant has one")
-    max: float | None = Field(None, description="upper limit; inf: none, though the plant has one")
-    unit: str = Field("", description="unit of min and max; empty: the variable's own")
+    min: float | None = setting(None, infinite=True, doc="lower limit; -inf: none, though the plant has one")
+    max: float | None = setting(None, infinite=True, doc="upper limit; inf: none, though the plant has one")
+    unit: str = setting("", doc="unit of min and max; empty: the variable's own")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the order of the limits."""
@@ -293,41 +288,44 @@ class BoundsSection(Section):
             yield "", error
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StabiliserSection(Section):
     """The controller that keeps the plant while it is recorded; the excitation is added to its inputs."""
 
-    type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
-    settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
+    type: str = setting(doc="a controller of `ddpc-cosim list controllers`, or module:Class")
+    settings: dict[str, Any] = setting({}, doc="settings that differ from the controller's defaults")
 
 
 def _one_or_more(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSection(Section):
     """What data-driven controllers learn from: an experiment on the plant, or files of logged data."""
 
-    samples: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = Field(
-        None, description="number of samples T of the experiment"
-    )
-    excitation: dict[str, ExcitationSection] = Field({}, description="one for each input")
-    inputs: dict[str, InputSection] = Field(
+    samples: int | None = setting(None, low=1, high=MOST_STEPS, doc="number of samples T of the experiment")
+    excitation: dict[str, InputExcitation] = setting({}, doc="one for each input")
+    inputs: dict[str, InputSignal] = setting(
         {},
-        description="signals of inputs that no controller drives, in place of a scenario's: what acted while "
+        doc="signals of inputs that no controller drives, in place of a scenario's: what acted while "
         "data were recorded",
     )
-    controller: StabiliserSection | None = Field(
-        None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
+    controller: StabiliserSection | None = setting(
+        None, doc="stabilises the plant meanwhile, on the study's references; none: open loop"
     )
-    file: Annotated[list[FilePath], BeforeValidator(_one_or_more)] = Field(
-        [], description="CSV files of logged data, in place of an experiment; one or several"
+    file: Annotated[list[str], Prepared(_one_or_more, {"type": "string"})] = setting(
+        [], doc="CSV files of logged data, in place of an experiment; one or several", file=True
     )
-    columns: dict[str, str] = Field(
-        {}, description="headers of the columns in the files that are not called as their signals"
+    columns: dict[str, str] = setting(
+        {}, doc="headers of the columns in the files that are not called as their signals"
     )
-    time_column: str = Field("time", description="header of the time in the files; empty: they have none")
-    time_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = Field(
-        TIME_TOLERANCE, description="how far rows may be from one sampling time apart, in parts of it"
+    time_column: str = setting("time", doc="header of the time in the files; empty: they have none")
+    time_tolerance: float = setting(
+        TIME_TOLERANCE,
+        low=0,
+        below=0.5,
+        doc="how far rows may be from one sampling time apart, in parts of it",
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
@@ -343,139 +341,131 @@ class RecordingSection(Section):
                 yield "columns", "names columns of the key file, which is missing"
 
 
-class EventSection(Section):
-    """Tunable parameters that change during the run."""
-
-    time: Finite
-    parameters: dict[str, Value]
-
-
-class DriftSection(LinearSection):
-    """A tunable parameter that moves linearly from one value to another, in steps of one sample."""
-
-    parameter: str
-
-
 def _as_list(tables: Any) -> Any:
     return [tables] if isinstance(tables, dict) else tables
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingChanges(Section):
     """In what a scenario's experiment differs from the study's."""
 
-    samples: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = Field(
-        None, description="number of samples T"
-    )
-    excitation: dict[str, ExcitationSection] = Field({}, description="of inputs that are excited otherwise")
-    inputs: dict[str, InputSection] = Field(
-        {}, description="signals of inputs that no controller drives, in place of the recording's"
+    samples: int | None = setting(None, low=1, high=MOST_STEPS, doc="number of samples T")
+    excitation: dict[str, InputExcitation] = setting({}, doc="of inputs that are excited otherwise")
+    inputs: dict[str, InputSignal] = setting(
+        {}, doc="signals of inputs that no controller drives, in place of the recording's"
     )
 
     def of(self, recording: RecordingSection) -> RecordingSection:
         """Return the study's section with the changes."""
-        changes = {
+        changes: dict[str, Any] = {
             "samples": recording.samples if self.samples is None else self.samples,
             "excitation": recording.excitation | self.excitation,
             "inputs": recording.inputs | self.inputs,
         }
-        return recording.model_copy(update=changes)
+        return replace(recording, **changes)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioSection(Section):
     """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
 
-    label: Text = ""
-    parameters: dict[str, Value] = Field({}, description="plant parameters in this scenario")
-    noise: dict[str, NotNegative] = Field(
-        {}, description="standard deviation of the noise of each measurement, in its unit"
+    label: Text = setting("", doc="name in reports; empty: the key of the section")
+    parameters: dict[str, Value] = setting({}, doc="plant parameters in this scenario")
+    noise: dict[str, float] = setting(
+        {}, doc="standard deviation of the noise of each measurement, in its unit", low=0
     )
-    events: list[EventSection] = Field([])
-    drifts: list[DriftSection] = Field([])
-    disturbances: dict[
-        str, Annotated[list[DisturbanceSection], BeforeValidator(_as_list), Field(min_length=1)]
-    ] = Field({}, description="what is added to each input or output: a signal, or several that are added up")
-    inputs: dict[str, InputSection] = Field({}, description="signals of inputs that no controller drives")
-    bounds: dict[str, BoundsSection] = Field(
-        {}, description="limits in place of the study's, and of those that a controller has of its own"
+    events: list[ParameterChange] = setting([], doc="tunable parameters that change during the run")
+    drifts: list[Drift] = setting([], doc="tunable parameters that move linearly, in steps of one sample")
+    disturbances: dict[str, Annotated[list[InputSignal], Prepared(_as_list, {"type": "object"}), Size(1)]] = (
+        setting({}, doc="what is added to each input or output: a signal, or several that are added up")
     )
-    rate_limit: dict[str, Positive] = Field(
-        {}, description="largest rate of change of each input, in its unit per second"
+    inputs: dict[str, InputSignal] = setting({}, doc="signals of inputs that no controller drives")
+    bounds: dict[str, BoundsSection] = setting(
+        {}, doc="limits in place of the study's, and of those that a controller has of its own"
     )
-    delay: dict[str, NotNegative] = Field(
-        {}, description="by how much an input acts, or a measurement arrives, late [s]"
+    effects: dict[str, dict[str, float]] = setting(
+        {}, doc="what actuators and sensors do: a table of each kind that is installed", key=None
     )
-    quantum: dict[str, Positive] = Field(
-        {}, description="what each measurement is rounded to whole multiples of, in its unit"
-    )
-    loss: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
-        {}, description="probability that a measurement is lost at a sample"
-    )
-    preview: Preview | None = Field(None, description="in place of the loop's")
-    recording: RecordingChanges | None = Field(
-        None, description="`samples`, `excitation` and `inputs` in place of the recording's"
+    preview: Preview | None = setting(None, low=0, doc="in place of the loop's")
+    recording: RecordingChanges | None = setting(
+        None, doc="`samples`, `excitation` and `inputs` in place of the recording's"
     )
 
+    @classmethod
+    def more_fields(cls) -> Mapping[str, DeclaredField]:
+        """Return a field for each kind of condition that is installed."""
+        hint = dict[str, float]
+        return {
+            name: DeclaredField(name, hint, kind.value, False, dict, within="effects")
+            for name, kind in all_conditions().items()
+        }
 
-Weights = dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]]
 
-
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CostSection(Section):
     """The study's own quadratic cost: the sum over the samples of weighted squares, in the signals' units."""
 
-    outputs: Weights = Field({}, description="weights of (reference - output)^2, by controlled output")
-    inputs: Weights = Field({}, description="weights of (input - its value at rest)^2, by input")
-    changes: Weights = Field({}, description="weights of (change of the input from the sample before)^2")
+    outputs: dict[str, float] = setting(
+        {}, low=0, doc="weights of (reference - output)^2, by controlled output"
+    )
+    inputs: dict[str, float] = setting({}, low=0, doc="weights of (input - its value at rest)^2, by input")
+    changes: dict[str, float] = setting(
+        {}, low=0, doc="weights of (change of the input from the sample before)^2"
+    )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong where nothing is weighted."""
         weights = (*self.outputs.values(), *self.inputs.values(), *self.changes.values())
-        if not self._errors and not any(weights):
+        if not self.has_faults and not any(weights):
             yield "", "needs a weight above 0 in outputs, inputs or changes"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RelevantSection(Section):
     """The smallest difference that matters, of what is ranked by; of both keys the larger counts."""
 
-    absolute: NotNegative | dict[str, NotNegative] | None = Field(
-        None, description="in the unit that tables show it in; of several controlled outputs one for each"
+    absolute: float | dict[str, float] | None = setting(
+        None, doc="in the unit that tables show it in; of several controlled outputs one for each", low=0
     )
-    percent: Annotated[float, Field(ge=0, le=100)] | None = Field(
-        None, description="of the best figure or of the task, the larger; none: 1, and 0 beside `absolute`"
+    percent: float | None = setting(
+        None,
+        doc="of the best figure or of the task, the larger; none: 1, and 0 beside `absolute`",
+        low=0,
+        high=100,
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield that nothing is said."""
-        if self.absolute is None and self.percent is None and not self._errors:
+        if self.absolute is None and self.percent is None and not self.has_faults:
             yield "", "needs absolute or percent"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MetricsSection(Section):
     """What runs are judged by besides the metrics that every study has, and what difference matters."""
 
-    cost: CostSection | None = None
-    relevant: RelevantSection | None = None
+    cost: CostSection | None = setting(None, doc="a quadratic cost, which controllers are ranked by")
+    relevant: RelevantSection | None = setting(None, doc="the smallest difference that matters; none: 1 %")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TunedSection(Section):
     """How settings of a controller were found, which the report states: by trials, or a source alone."""
 
-    settings: Annotated[list[str], Field(min_length=1)] | None = Field(
-        None, description="names of the settings that were found so; dotted where a setting is a table"
+    settings: Annotated[list[str], Size(1)] | None = setting(
+        None, doc="names of the settings that were found so; dotted where a setting is a table"
     )
-    trials: Annotated[int, Field(ge=1)] | None = Field(None, description="number of settings tried")
-    seeds: Annotated[Seeds, Field(min_length=1)] | None = Field(
-        None, description="seeds of the trials; none of them may be a seed of the study"
+    trials: int | None = setting(None, low=1, doc="number of settings tried")
+    seeds: Annotated[Seeds, Size(1)] | None = setting(
+        None, doc="seeds of the trials; none of them may be a seed of the study"
     )
-    by: str | None = Field(None, description="what was compared, e.g. median rmse over the scenarios")
-    source: Text = Field(
-        "", description="where the trials can be repeated from; alone: where the settings are, e.g. a table"
+    by: str | None = setting(None, doc="what was compared, e.g. median rmse over the scenarios")
+    source: Text = setting(
+        "", doc="where the trials can be repeated from; alone: where the settings are, e.g. a table"
     )
-    sampler_seed: Annotated[int, Field(ge=0)] = Field(
-        0, description="seed of the search, which decides what is tried"
-    )
-    at_ends: list[str] = Field(
-        [],
-        description="settings found at an end of where was looked: a wider search may find others",
+    sampler_seed: int = setting(0, low=0, doc="seed of the search, which decides what is tried")
+    at_ends: list[str] = setting(
+        [], doc="settings found at an end of where was looked: a wider search may find others"
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
@@ -488,24 +478,23 @@ class TunedSection(Section):
             yield "source", f"required key is missing; or give {', '.join(missing)}"
 
 
-_Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+_Ends = Annotated[list[float], Size(2, 2)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSection(Section):
     """Where ``ddpc-cosim tune`` looks for a value of a setting; exactly one key."""
 
-    linear: _Ends | None = Field(None, description="lowest and highest number")
-    log: _Ends | None = Field(None, description="the same, each power of ten as likely as the next")
-    factor: _Ends | None = Field(None, description="the same, of what the setting's value is multiplied by")
-    integer: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(
-        None, description="lowest and highest integer"
-    )
-    choices: list[Any] | None = Field(None, description="values; empty, or `false` for the table: it is kept")
+    linear: _Ends | None = setting(None, doc="lowest and highest number")
+    log: _Ends | None = setting(None, doc="the same, each power of ten as likely as the next")
+    factor: _Ends | None = setting(None, doc="the same, of what the setting's value is multiplied by")
+    integer: Annotated[list[int], Size(2, 2)] | None = setting(None, doc="lowest and highest integer")
+    choices: list[Any] | None = setting(None, doc="values; empty, or `false` for the table: it is kept")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the range."""
-        given = [key for key in type(self).model_fields if getattr(self, key) is not None]
-        if len(given) != 1 and not self._errors:
+        given = [key for key in declared_fields(type(self)) if getattr(self, key) is not None]
+        if len(given) != 1 and not self.has_faults:
             yield "", "needs exactly one of the keys linear, log, factor, integer and choices"
         elif given:
             yield from ((given[0], fault) for _, fault in faults_of(lambda: self.space))
@@ -528,35 +517,35 @@ def _none_if_false(table: Any) -> Any:
     return None if table is False else table
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSection(Section):
     """One controller of the study."""
 
-    type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
-    label: Text = Field("", description="name in reports; empty: the key of the section")
-    note: Text = Field("", description="one line about this controller for the report")
-    settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
-    bounds: dict[str, BoundsSection] = Field(
-        {}, description="limits that replace the study's for this controller"
-    )
+    type: str = setting(doc="a controller of `ddpc-cosim list controllers`, or module:Class")
+    label: Text = setting("", doc="name in reports; empty: the key of the section")
+    note: Text = setting("", doc="one line about this controller for the report")
+    settings: dict[str, Any] = setting({}, doc="settings that differ from the controller's defaults")
+    bounds: dict[str, BoundsSection] = setting({}, doc="limits that replace the study's for this controller")
     sweep: Annotated[
-        list[dict[str, Annotated[Any, BeforeValidator(swept_values)]]], BeforeValidator(_as_list)
-    ] = Field([], description="tables of settings and values to try; of each table, all combinations are run")
-    search: dict[str, Annotated[SearchSection, BeforeValidator(_none_for_false)]] = Field(
-        {},
-        description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
+        list[dict[str, Annotated[Any, Prepared(swept_values)]]], Prepared(_as_list, {"type": "object"})
+    ] = setting([], doc="tables of settings and values to try; of each table, all combinations are run")
+    search: dict[str, Annotated[SearchSection, Prepared(_none_for_false, {"const": False})]] = setting(
+        {}, doc="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares"
     )
-    first_trials: list[dict[str, Any]] = Field(
-        [], description="for `ddpc-cosim tune`: settings that are tried next after those given"
+    first_trials: list[dict[str, Any]] = setting(
+        [], doc="for `ddpc-cosim tune`: settings that are tried next after those given"
     )
-    tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
-        None, description="how settings were found; none, or `false`: that is not known"
+    tuned: Annotated[TunedSection | None, Prepared(_none_if_false, {"const": False})] = setting(
+        None, doc="how settings were found; none, or `false`: that is not known"
     )
-    variant_of: str = Field("", description="the controller whose sweep this one is part of")
-    varied: list[str] = Field([], description="settings in which it differs from that controller")
+    variant_of: str = setting("", doc="the controller whose sweep this one is part of")
+    varied: list[str] = setting([], doc="settings in which it differs from that controller")
 
     @classmethod
-    def _hint(cls, key: str) -> str:
-        return f"{super()._hint(key)}; if it is a setting of the controller, write settings.{key}"
+    def hint(cls, key: str) -> str:
+        """Return what an unknown key probably stands for."""
+        meant = did_you_mean(key, declared_fields(cls))
+        return f"{meant}; if it is a setting of the controller, write settings.{key}"
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the sweep."""
@@ -566,42 +555,44 @@ class ControllerSection(Section):
             yield "sweep", f"{variants} variants; allowed: {MOST_VARIANTS}"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedMethod(Section):
     """Published results of one method, and the controllers here that stand for it."""
 
-    label: Text
-    printed: str = Field(description="the controller that follows the publication")
-    published_code: str = Field(
-        "", description="the controller that follows the authors' program, if one does"
-    )
-    values: dict[str, Finite] = Field(description="published value of each metric, by its key")
-    rest_samples: Annotated[int, Field(ge=0)] = Field(
-        0, description="samples at rest that the published sums of errors count before the first decision"
+    label: Text = setting(doc="name of the method")
+    printed: str = setting(doc="the controller that follows the publication")
+    published_code: str = setting("", doc="the controller that follows the authors' program, if one does")
+    values: dict[str, float] = setting(doc="published value of each metric, by its key")
+    rest_samples: int = setting(
+        0, low=0, doc="samples at rest that the published sums of errors count before the first decision"
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Reproduction(Section):
     """Published results that the report compares with."""
 
-    source: Text
-    metrics: dict[str, str] = Field(description="title of each metric compared, by its key")
-    methods: list[PublishedMethod]
-    notes: list[str] = Field([])
-    parameters: str = Field("Parameters as run", description="title over the tables of settings")
+    source: Text = setting(doc="the publication")
+    metrics: dict[str, str] = setting(doc="title of each metric compared, by its key")
+    methods: list[PublishedMethod] = setting(doc="the methods that it compares")
+    notes: list[str] = setting([], doc="what a reader of the comparison must know")
+    parameters: str = setting("Parameters as run", doc="title over the tables of settings")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Panel(Section):
     """One panel of the report's figures."""
 
-    title: Text
-    controllers: list[str]
+    title: Text = setting(doc="title of the panel")
+    controllers: list[str] = setting(doc="controllers in it")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferencePoints(Section):
     """Two controllers that do not compete: every error is shown as a share of the way between theirs."""
 
-    zero: str = Field(description="the controller at 0 %, e.g. one that does nothing")
-    full: str = Field(description="the controller at 100 %, e.g. one that shows what is possible")
+    zero: str = setting(doc="the controller at 0 %, e.g. one that does nothing")
+    full: str = setting(doc="the controller at 100 %, e.g. one that shows what is possible")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong where both are one."""
@@ -609,18 +600,17 @@ class ReferencePoints(Section):
             yield "full", f'"{self.full}" is also at 0 %; needed: two different controllers'
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClaimSection(Section):
     """What the study's source claims of a metric; the report says in how many runs it is so."""
 
-    text: Annotated[Text, Field(min_length=1)] = Field(description="the claim, in a sentence")
-    metric: str = Field(description="a metric and its signal, such as rms_change.torque")
-    lowest: str = Field("", description="the controller that is claimed to have the lowest value of all")
-    highest: str = Field("", description="the controller that is claimed to have the highest value of all")
-    order: list[str] = Field([], description="controllers, from the lowest value that is claimed on")
-    alike: str = Field("", description="a controller whose sweep is claimed to change nothing")
-    within: NotNegative = Field(
-        10.0, description="how far apart values that are alike may be, in % of the lowest"
-    )
+    text: Annotated[Text, Size(1)] = setting(doc="the claim, in a sentence")
+    metric: str = setting(doc="a metric and its signal, such as rms_change.torque")
+    lowest: str = setting("", doc="the controller that is claimed to have the lowest value of all")
+    highest: str = setting("", doc="the controller that is claimed to have the highest value of all")
+    order: list[str] = setting([], doc="controllers, from the lowest value that is claimed on")
+    alike: str = setting("", doc="a controller whose sweep is claimed to change nothing")
+    within: float = setting(10.0, doc="how far apart values that are alike may be, in % of the lowest", low=0)
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong where not exactly one thing is claimed."""
@@ -633,46 +623,57 @@ class ClaimSection(Section):
             yield "order", "one controller is in no order; needed: two or more"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReportSection(Section):
     """What the report shows besides what every report shows."""
 
-    panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
-    limitations: list[str] = Field([], description="what a reader must know to judge the results fairly")
-    claims: list[ClaimSection] = Field([], description="what the source claims, checked run by run")
-    reproduction: Reproduction | None = None
-    reference_points: ReferencePoints | None = Field(
-        None, description="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
+    panels: list[Panel] = setting([], doc="panels of the figures; empty: one with all controllers")
+    limitations: list[str] = setting([], doc="what a reader must know to judge the results fairly")
+    claims: list[ClaimSection] = setting([], doc="what the source claims, checked run by run")
+    reproduction: Reproduction | None = setting(None, doc="published results to compare with")
+    reference_points: ReferencePoints | None = setting(
+        None, doc="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StudyHead(Section):
     """What a study says of itself, however many problems it has."""
 
     moved: ClassVar[Mapping[str, str]] = {"extend": "extends"}
-    name: Name = Field("study", description="short name; the folder of results is called after it")
-    title: Text = ""
-    summary: Text = ""
-    source: Text = Field("", description="publication that the study follows")
-    based_on: list[str] = Field(
-        [], description="names of the studies that it extends, where it is written out"
+    name: Name = setting("study", doc="short name; the folder of results is called after it")
+    title: Text = setting("", doc="title of the report")
+    summary: Text = setting("", doc="what the study is about, in a few sentences")
+    source: Text = setting("", doc="publication that the study follows")
+    based_on: list[str] = setting([], doc="names of the studies that it extends, where it is written out")
+    seeds: Annotated[Seeds, Size(1)] = setting(
+        [0], doc='each case is run with each of them; ranges as "0:30"'
     )
-    seeds: Annotated[Seeds, Field(min_length=1)] = Field([0])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Study(StudyHead):
     """A study of one problem, as a flat file says it: one plant, controllers, conditions and seeds.
 
     Of a file with several problems each is such a study, which has the problem's name.
     """
 
-    variant_of: str = Field("", description="the problem whose variant this one is by the study's sweep")
-    varied: dict[str, Any] = Field({}, description="what differs from that problem, by its path")
-    plant: PlantSection
-    loop: LoopSection
-    reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
-    bounds: dict[str, BoundsSection] = Field({})
-    recording: RecordingSection | None = None
-    controllers: Annotated[dict[ControllerName, ControllerSection], Field(min_length=1)]
-    scenarios: dict[Name, ScenarioSection] = Field({"nominal": ScenarioSection()}, min_length=1)
-    metrics: MetricsSection = MetricsSection()
-    report: ReportSection = ReportSection()
+    variant_of: str = setting("", doc="the problem whose variant this one is by the study's sweep")
+    varied: dict[str, Any] = setting({}, doc="what differs from that problem, by its path")
+    plant: PlantSection = setting(doc="what is controlled")
+    loop: LoopSection = setting(doc="timing of the closed loop")
+    reference: Annotated[dict[str, ReferenceSignal], Size(1)] = setting(
+        doc="one signal for each controlled output"
+    )
+    bounds: dict[str, BoundsSection] = setting(
+        {}, doc="limits of inputs and controlled outputs in place of the plant's"
+    )
+    recording: RecordingSection | None = setting(None, doc="what data-driven controllers learn from")
+    controllers: Annotated[dict[ControllerName, ControllerSection], Size(1)] = setting(doc="what is compared")
+    scenarios: Annotated[dict[Name, ScenarioSection], Size(1)] = setting(
+        {"nominal": ScenarioSection()}, doc="what all controllers are run under"
+    )
+    metrics: MetricsSection = setting(
+        MetricsSection(), doc="what runs are judged by besides the metrics of every study"
+    )
+    report: ReportSection = setting(ReportSection(), doc="what the report shows besides")

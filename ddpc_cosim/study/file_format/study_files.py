@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+from ddpc_cosim.codec import in_folder, plant_in_folder
 from ddpc_cosim.errors import ConfigError, CosimError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.settings import PLANT, map_files, map_plants
@@ -27,7 +28,6 @@ from ddpc_cosim.study.file_format.replacing import (
     replaced,
 )
 from ddpc_cosim.study.file_format.sweeps import path_of
-from ddpc_cosim.study.file_format.validation_errors import in_folder, plant_in_folder
 from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.files import is_file
 

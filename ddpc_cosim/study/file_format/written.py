@@ -1,52 +1,22 @@
 """How a study file says signals, experiments and controllers that are objects: the inverse of reading it."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ddpc_cosim.codec import write_in_short
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.excitations import (
-    PRBS,
-    Chirp,
-    Excitation,
-    MixedExcitation,
-    Multisine,
-    SignalExcitation,
-    UniformRandom,
-)
+from ddpc_cosim.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
 from ddpc_cosim.plugins import name_in_file, name_of
 from ddpc_cosim.settings import PLANT, is_plain, map_files, map_plants, to_plain
-from ddpc_cosim.signals import Constant, Interpolated, Ramp, Reference, Sine, Steps, WhiteNoise
+from ddpc_cosim.signals import REFERENCES, Reference, WhiteNoise, by_kind
 
 Table = dict[str, Any]
 """A table of a study file."""
-
-_SIGNALS: dict[type[Reference], Callable[[Any], Table]] = {
-    Constant: lambda one: {"kind": "constant", "value": one.value},
-    Steps: lambda one: {"kind": "steps", "times": _numbers(one.times), "values": _numbers(one.values)},
-    Interpolated: lambda one: {
-        "kind": "interpolated",
-        "times": _numbers(one.times),
-        "values": _numbers(one.values),
-    },
-    Ramp: lambda one: {
-        "kind": "ramp",
-        "from_value": one.start,
-        "to_value": one.stop,
-        "from_time": one.start_time,
-        "to_time": one.stop_time,
-    },
-    Sine: lambda one: {"kind": "sine"} | {f.name: getattr(one, f.name) for f in fields(one)},
-    WhiteNoise: lambda one: {
-        "kind": "noise",
-        "standard_deviation": one.standard_deviation,
-        "mean": one.mean,
-    },
-}
 
 
 def signal_table(what: str, signal: Reference) -> Table:
@@ -57,25 +27,11 @@ def signal_table(what: str, signal: Reference) -> Table:
     ConfigError
         It is of a class that study files do not know.
     """
-    if type(signal) not in _SIGNALS:
-        known = ", ".join(kind.__name__ for kind in _SIGNALS)
-        raise ConfigError(f"{what}: a study cannot write {signal!r}; it can: {known}")
-    table = _SIGNALS[type(signal)](signal)
-    return {
-        key: float(value) if np.ndim(value) == 0 and key != "kind" else value for key, value in table.items()
-    }
-
-
-def _numbers(values: Sequence[float]) -> list[float]:
-    return [float(value) for value in values]
-
-
-_RANGED: dict[type[Excitation], tuple[str, tuple[str, ...]]] = {
-    UniformRandom: ("uniform", ()),
-    PRBS: ("prbs", ("clock_period",)),
-    Multisine: ("multisine", ("min_frequency", "max_frequency", "phases")),
-    Chirp: ("chirp", ("from_frequency", "to_frequency", "sweep")),
-}
+    known = REFERENCES | by_kind(WhiteNoise)
+    if type(signal) not in known.values():
+        names = ", ".join(kind.__name__ for kind in known.values())
+        raise ConfigError(f"{what}: a study cannot write {signal!r}; it can: {names}")
+    return write_in_short(signal)
 
 
 def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
@@ -86,36 +42,36 @@ def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
     ConfigError
         It is of a class that study files do not know, or for another number of inputs.
     """
-    tables = dict(_excitation_tables(excitation, inputs))
-    samples = {int(samples) for samples, _ in tables.values()}
-    if list(tables) != list(inputs) and sorted(tables) != sorted(inputs):
-        raise ConfigError(f"excitation: of {', '.join(tables)}; needed: one for each of {', '.join(inputs)}")
+    entries = dict(_entries(excitation, inputs))
+    samples = {int(samples) for samples, _ in entries.values()}
+    if list(entries) != list(inputs) and sorted(entries) != sorted(inputs):
+        raise ConfigError(f"excitation: of {', '.join(entries)}; needed: one for each of {', '.join(inputs)}")
     if len(samples) != 1:
         raise ConfigError(
             f"excitation: parts of {', '.join(map(str, sorted(samples)))} samples; needed: one length"
         )
-    return {"samples": samples.pop(), "excitation": {name: tables[name][1] for name in inputs}}
+    return {
+        "samples": samples.pop(),
+        "excitation": {name: write_in_short(entries[name][1]) for name in inputs},
+    }
 
 
-def _excitation_tables(excitation: Any, inputs: Sequence[str]) -> Iterator[tuple[str, tuple[int, Table]]]:
-    """Yield the excitation of each input, and how long it is."""
-    if type(excitation) in _RANGED:
-        kind, keys = _RANGED[type(excitation)]
-        more = {key: getattr(excitation, key) for key in keys}
-        more = {key: value for key, value in more.items() if value != np.inf}
-        ends = (
-            np.broadcast_to(np.asarray(end, float), len(inputs)) for end in (excitation.low, excitation.high)
-        )
-        for name, low, high in zip(inputs, *ends, strict=True):
-            yield name, (excitation.samples, {"kind": kind, "low": float(low), "high": float(high), **more})
+def _entries(excitation: Any, inputs: Sequence[str]) -> Iterator[tuple[str, tuple[int, Any]]]:
+    """Yield what excites each input, and how long it does."""
+    if type(excitation) in EXCITATIONS.values():
+        limits = np.broadcast_arrays(excitation.low, excitation.high, np.empty(len(inputs)))[:2]
+        for name, low, high in zip(inputs, *limits, strict=True):
+            yield name, (excitation.samples, replace(excitation, low=float(low), high=float(high)))
     elif isinstance(excitation, MixedExcitation):
         for part, served in excitation.parts:
-            yield from _excitation_tables(part, [inputs[i] for i in served])
-    elif isinstance(excitation, SignalExcitation) and all(type(one) is Steps for one in excitation.signals):
+            yield from _entries(part, [inputs[i] for i in served])
+    elif isinstance(excitation, SignalExcitation) and all(
+        type(signal) in EXCITATIONS.values() for signal in excitation.signals
+    ):
         for name, signal in zip(inputs, excitation.signals, strict=True):
-            yield name, (excitation.samples, signal_table(f"excitation of {name}", signal))
+            yield name, (excitation.samples, signal)
     else:
-        known = ", ".join(one.__name__ for one in _RANGED)
+        known = ", ".join(one.__name__ for one in EXCITATIONS.values() if not issubclass(one, Reference))
         raise ConfigError(
             f"excitation: a study cannot write {excitation!r}; it can: {known}, SignalExcitation of Steps, "
             "and MixedExcitation of these"

@@ -139,7 +139,7 @@ def _moved(one: Tracking, nothing: Tracking | None) -> float:
 
 def _unavoidable(one: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None") -> Unavoidable:
     noise = scenario.noise.get(one.output, 0.0) if scenario else 0.0
-    quantum = scenario.quantum.get(one.output, 0.0) if scenario else 0.0
+    quantum = scenario.effects.get("quantum", {}).get(one.output, 0.0) if scenario else 0.0
     # Where nothing acts on the plant, what its own dynamics do is no noise. The smaller: what is wild in one
     # of the two runs, as an unstable plant that is left alone, is none either.
     acts = scenario is not None and bool(scenario.disturbances or scenario.inputs)

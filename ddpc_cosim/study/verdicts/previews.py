@@ -1,6 +1,7 @@
 """Whom seeing more of the reference makes worse: scenarios that differ in nothing else, side by side."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import permutations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -57,8 +58,7 @@ def _pairs(study: "Study") -> Iterator[tuple[str, str]]:
     for more, less in permutations(study.scenarios, 2):
         one, other = study.scenarios[more], study.scenarios[less]
         seen, unseen = study.loop.preview_of(one), study.loop.preview_of(other)
-        alike = {"label": "", "preview": None}
-        if one.model_copy(update=alike) != other.model_copy(update=alike) or unseen is None:
+        if replace(one, label=other.label, preview=other.preview) != other or unseen is None:
             continue
         if seen is None or seen > unseen:
             yield more, less

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from markupsafe import Markup
@@ -231,7 +232,7 @@ def _rows(
     if not method.rest_samples or split_key(key)[0] != _SUMMED:
         return [_row(title, key, method, controllers)]
     samples = f"{method.rest_samples} {'sample' if method.rest_samples == 1 else 'samples'} at rest"
-    own = method.model_copy(update={"values": {key: math.nan}, "rest_samples": 0})
+    own = replace(method, values={key: math.nan}, rest_samples=0)
     return [
         _row(f"{title}, from the first decision on", key, own, controllers),
         _row(f"{title}, {samples} counted too, as published", key, method, controllers),

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from pydantic import BaseModel
 
-from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim.codec import differing, write
+from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
     ControllerSection,
-    DriftSection,
     LoopSection,
     PlantSection,
     RecordingChanges,
@@ -193,11 +193,11 @@ def _difference(variant: ControllerSection, base: ControllerSection | None) -> s
     names = dict.fromkeys(name for name in (*own, *theirs) if name not in varied)
     others = {name: own.get(name) for name in names if own.get(name) != theirs.get(name)}
     said = {"label", "settings", "tuned", "variant_of", "varied"}
-    keys, their_keys = (one.model_dump(exclude=said) for one in (variant, base or variant))
+    keys, their_keys = (_without(write(one), said) for one in (variant, base or variant))
     parts = [
         mapping_text(varied),
         f"also {mapping_text(others)}" if others else "",
-        *(f"{name}: {value_text(value)}" for name, value in keys.items() if value != their_keys[name]),
+        *(f"{name}: {value_text(value)}" for name, value in keys.items() if value != their_keys.get(name)),
     ]
     return "; ".join(filter(None, parts))
 
@@ -299,7 +299,7 @@ def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
         scale = f"{as_given(one.factor)} · " if one.factor != 1.0 else ""
         more = f" + {as_given(one.offset)}" if one.offset else ""
         how = "" if one.convert_units else ", whatever their units"
-        yield _plain(one.to), f"follows {scale}{getattr(one, 'from')}{more}{how}"
+        yield _plain(one.target), f"follows {scale}{one.source}{more}{how}"
     if plant.coupling:
         yield from ((f"coupling: {name}", text) for name, text in _others(plant.coupling, ()))
 
@@ -338,12 +338,15 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
     return facts + [(f"recording: {name}", text) for name, text in others]
 
 
-def _others(section: BaseModel, said: Container[str]) -> Iterator[tuple[str, str]]:
+def _others(section: Any, said: Container[str]) -> Iterator[tuple[str, str]]:
     """Yield names and values of the keys that are not said elsewhere and differ from their defaults."""
-    values, given = section.model_dump(), section.model_dump(exclude_none=True)
-    for name, field in type(section).model_fields.items():
-        if name not in said and values[name] != field.get_default(call_default_factory=True):
-            yield name.replace("_", " "), value_text(given.get(name))
+    for name, value in differing(section).items():
+        if name not in said:
+            yield name.replace("_", " "), value_text(value)
+
+
+def _without(table: Mapping[str, Any], keys: Container[str]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}
 
 
 def facts_table(identifier: str, caption: str, facts: Iterable[tuple[str, str]], download: str) -> Table:
@@ -366,7 +369,7 @@ def compact_seeds(seeds: Sequence[int]) -> str:
 
 def _signal(section: Any, own_unit: str) -> str:
     """Write a section about a signal: its kind, its values, and their unit last."""
-    values = section.model_dump(exclude={"kind", "unit"}, exclude_none=True)
+    values = _without(write(section), {"kind", "unit"})
     if "file" in values:  # the folder is that of one machine
         values["file"] = Path(values["file"]).name
     given = {key.replace("_", " "): value for key, value in values.items() if value != ""}
@@ -388,21 +391,15 @@ class Effect:
 
 def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list[Effect]:
     """Return all that a scenario changes, in the order of a study file."""
-
-    def values(of: Mapping[str, float], words: str, per: str = "") -> list[Effect]:
-        """Write values in the signals' own units; ``{}`` stands for the name in the words."""
-        told = {
-            name: f"{with_unit(as_given(value), unit_symbol(units.get(name, '')))}{per}"
-            for name, value in of.items()
-        }
-        return [Effect(f"{words.format(_plain(name))} {text}") for name, text in told.items()]
-
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
     said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs"}
-    said |= {"label", "bounds", "rate_limit", "delay", "quantum", "loss", "recording"}
+    said |= {"label", "bounds", "recording", *section.effects}
     return [
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
-        *values(section.noise, "noise of {}, standard deviation"),
+        *(
+            Effect(f"noise of {_plain(name)}, standard deviation {_in_unit(value, units.get(name, ''))}")
+            for name, value in section.noise.items()
+        ),
         *_events(section),
         *map(_drift_effect, section.drifts),
         *(
@@ -417,24 +414,28 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
             Effect(f"limits of {_plain(name)}: {_signal(one, units.get(name, ''))}")
             for name, one in section.bounds.items()
         ),
-        *values(section.rate_limit, "rate limit of {}", " per second"),
-        *(Effect(f"delay of {_plain(name)} {as_given(delay)} s") for name, delay in section.delay.items()),
-        *values(section.quantum, "{} rounded to multiples of"),
         *(
-            Effect(f"samples of {_plain(name)} lost with a probability of {as_given(share)}")
-            for name, share in section.loss.items()
+            Effect(
+                kind.words.format(name=_plain(name), value=_in_unit(value, kind.unit_of(units.get(name, ""))))
+            )
+            for key, kind in all_conditions().items()
+            for name, value in section.effects.get(key, {}).items()
         ),
         *(Effect(f"{name}: {text}") for name, text in _others(section, said)),
         *([Effect(_recording_text(section.recording))] if section.recording else []),
     ]
 
 
+def _in_unit(value: float, unit: str) -> str:
+    return with_unit(as_given(value), unit_symbol(unit))
+
+
 def _signal_effect(what: str, section: Any, own_unit: str, first: int = 0) -> Effect:
     """Write a signal, and when it changes: the steps from the ``first`` on, or while it is a ramp."""
     marks: tuple[Mark, ...] = ()
-    if section.kind == "ramp":
-        values = f"{as_given(section.from_value)} → {as_given(section.to_value)}"
-        marks = (Mark(f"{what} {values}", section.from_time, section.to_time),)
+    if isinstance(section, Ramp):
+        values = f"{as_given(section.start)} → {as_given(section.stop)}"
+        marks = (Mark(f"{what} {values}", section.start_time, section.stop_time),)
     elif steps := [*zip(getattr(section, "times", ()), getattr(section, "values", ()), strict=False)]:
         marks = tuple(Mark(f"{what} {as_given(value)}", time, time) for time, value in steps[first:])
     return Effect(f"{what}: {_signal(section, own_unit)}", marks)
@@ -457,14 +458,14 @@ def _events(section: ScenarioSection) -> Iterator[Effect]:
 
 
 def _recording_text(changes: RecordingChanges) -> str:
-    return f"recording with {mapping_text(changes.model_dump(exclude_defaults=True))}"
+    return f"recording with {mapping_text(differing(changes))}"
 
 
-def _drift_effect(drift: DriftSection) -> Effect:
-    first, last = as_given(drift.from_time), as_given(drift.to_time)
-    old, new, name = as_given(drift.from_value), as_given(drift.to_value), _plain(drift.parameter)
+def _drift_effect(drift: Drift) -> Effect:
+    first, last = as_given(drift.start_time), as_given(drift.stop_time)
+    old, new, name = as_given(drift.start), as_given(drift.stop), _plain(drift.parameter)
     text = f"{name} from {old} to {new} between {first} s and {last} s"
-    return Effect(text, (Mark(f"{name} {old} → {new}", drift.from_time, drift.to_time),))
+    return Effect(text, (Mark(f"{name} {old} → {new}", drift.start_time, drift.stop_time),))
 
 
 def _labelled(name: str, label: str) -> str:

@@ -11,6 +11,7 @@ from rich.console import Console
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.results import show_results
 from ddpc_cosim.cli.summary import overall_table, summary_table
+from ddpc_cosim.codec import read
 from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.file_format.sections import ReferencePoints, RelevantSection, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
@@ -24,7 +25,8 @@ def study(variants: int) -> Study:
         f"deepc-horizon-{n}": {"type": "deepc", "variant_of": "deepc", "varied": ["horizon"]}
         for n in range(variants)
     }
-    return Study.model_validate(
+    return read(
+        Study,
         {
             "name": "s",
             "title": "A study",
@@ -33,7 +35,7 @@ def study(variants: int) -> Study:
             "loop": {"sampling_time": 0.1, "duration": 1.0},
             "reference": {"angle": {"kind": "constant", "value": 1.0}},
             "controllers": {"deepc": {"type": "deepc", "label": "DeePC"}, **varied, "pid": {"type": "pid"}},
-        }
+        },
     )
 
 
@@ -125,8 +127,8 @@ def test_long_names_are_clipped_with_an_ellipsis() -> None:
 
 def test_titles_and_labels_of_any_length_leave_a_table_to_read() -> None:
     some, long = results(0), "x" * 10_000
-    scenario = some.study.scenarios["nominal"].model_copy(update={"label": long})
-    study = some.study.model_copy(update={"title": long, "scenarios": {"calm": scenario, "windy": scenario}})
+    scenario = replace(some.study.scenarios["nominal"], label=long)
+    study = replace(some.study, title=long, scenarios={"calm": scenario, "windy": scenario})
     cases = tuple(
         replace(case, scenario=name, label=long) for case in some.cases for name in ("calm", "windy")
     )
@@ -140,10 +142,9 @@ def test_of_several_scenarios_each_has_a_column() -> None:
     windy = [replace(case, scenario="windy") for case in some.cases]
     diverged = replace(windy[0], outcome=Outcome.DIVERGED, failed=True)
     calm = [replace(case, scenario="calm") for case in some.cases]
-    study = some.study.model_copy(
-        update={
-            "scenarios": {"calm": some.study.scenarios["nominal"], "windy": some.study.scenarios["nominal"]}
-        }
+    study = replace(
+        some.study,
+        scenarios={"calm": some.study.scenarios["nominal"], "windy": some.study.scenarios["nominal"]},
     )
     seen = replace(some, whole=WholeStudy.of(study), cases=(*calm, diverged, *windy[1:]))
     lines = printed(seen, 80)
@@ -198,7 +199,7 @@ def test_where_scenarios_disagree_there_is_no_rank_and_a_line_says_who_leads_whe
 def test_reference_points_are_marked_and_have_no_rank() -> None:
     seen = seeded(12, worse=9.0)
     points = ReferencePoints(zero="deepc", full="pid")
-    told = seen.study.model_copy(update={"report": ReportSection(reference_points=points)})
+    told = replace(seen.study, report=ReportSection(reference_points=points))
     lines = printed(replace(seen, whole=WholeStudy.of(told)))
     assert [name for _, name in ranked(lines)] == ["deepc (0\u00a0%)", "pid (100\u00a0%)"]
     assert "rank" not in "".join(lines).split()
@@ -224,8 +225,8 @@ def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) 
 )
 def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) -> None:
     some = seeded(12, worse=9.0)
-    metrics = some.study.metrics.model_copy(update={"relevant": RelevantSection(absolute=absolute)})
-    whole = WholeStudy.of(some.study.model_copy(update={"metrics": metrics}))
+    metrics = replace(some.study.metrics, relevant=RelevantSection(absolute=absolute))
+    whole = WholeStudy.of(replace(some.study, metrics=metrics))
     assert line in [one.strip() for one in printed(replace(some, whole=whole))]
 
 
@@ -268,7 +269,7 @@ def test_who_leads_is_bold_only_where_the_seeds_tell_it(seeds: int, bold: list[s
 def test_several_problems_are_summed_up_by_average_rank() -> None:
     """Where two agree and one does not, the average is (1 + 1 + 2) / 3 against (2 + 2 + 1) / 3."""
     problems = [
-        replace(seen, whole=WholeStudy.of(seen.study.model_copy(update={"name": f"p{number}"})))
+        replace(seen, whole=WholeStudy.of(replace(seen.study, name=f"p{number}")))
         for number, seen in enumerate((seeded(12, 9.0), seeded(12, 9.0), seeded(12, -9.0)))
     ]
     console = Console(width=80)
@@ -285,7 +286,7 @@ def test_where_every_run_failed_nothing_is_ranked_and_the_metric_has_its_name() 
     some = results(0, failing="pid")
     cases = tuple(replace(case, failed=True, failure="far off") for case in some.cases)
     problems = [
-        replace(some, cases=cases, whole=WholeStudy.of(some.study.model_copy(update={"name": name})))
+        replace(some, cases=cases, whole=WholeStudy.of(replace(some.study, name=name)))
         for name in ("one", "two")
     ]
     lines = printed(problems[0])

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants import Equations, PlantModel, Symbols, Variable, tunable
@@ -221,9 +222,7 @@ def test_a_system_of_a_public_collection_is_the_monolithic_one(name: str, tmp_pa
     files = {"resources/strict.fmu": STRICT, "resources/through.fmu": THROUGH}
     path = write_ssp(tmp_path / f"{name}.ssp", wired.description(values), files)
     coupling = {"communication_step": 1e-3, "extrapolation": "linear"}
-    spec = PlantSpec.of(
-        PlantSection.model_validate({"ssp": str(path), "coupling": coupling}), tmp_path
-    ).built()
+    spec = PlantSpec.of(read(PlantSection, {"ssp": str(path), "coupling": coupling}), tmp_path).built()
     outputs = [f"{part}.y{j}" for part in wired.parts for j in range(1, OUTPUTS + 1)]
     inputs = [name for name in spec.variables().inputs if "." not in name]
     plant = spec.open(inputs, outputs)

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants import Equations, PlantModel, Symbols, Variable, tunable
@@ -36,7 +37,7 @@ def run(
     path: Path, outputs: Sequence[str], u: Mapping[str, float], sampling_time: float, samples: int, **how: Any
 ) -> Rows:
     """Return the outputs of an archive at the samples; its inputs are held."""
-    section = PlantSection.model_validate({"ssp": str(path), "coupling": how or FINE})
+    section = read(PlantSection, {"ssp": str(path), "coupling": how or FINE})
     plant = PlantSpec.of(section, path.parent).built().open(list(u), outputs)
     try:
         plant.plan(sampling_time, samples * sampling_time)

@@ -8,6 +8,7 @@ import pytest
 from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, Outcome, Trace
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import PlantSection
@@ -127,7 +128,7 @@ class TestWhatIsIsolated:
     def test_supplied_fmus(
         self, wanted: bool | str, isolated: bool, faulty_fmus: dict[int, Path], tmp_path: Path
     ) -> None:
-        section = PlantSection.model_validate({"fmu": str(faulty_fmus[2]), "isolated": wanted})
+        section = read(PlantSection, {"fmu": str(faulty_fmus[2]), "isolated": wanted})
         target = PlantSpec.of(section, tmp_path).built()
         assert target.isolated is isolated
         plant = target.open(["u"], ["y"])
@@ -139,7 +140,7 @@ class TestWhatIsIsolated:
         self, wanted: bool | str, isolated: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
-        section = PlantSection.model_validate({"name": "pendulum", "isolated": wanted})
+        section = read(PlantSection, {"name": "pendulum", "isolated": wanted})
         assert PlantSpec.of(section, tmp_path).built().isolated is isolated
 
     def test_python_plants_cannot_be(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +149,6 @@ class TestWhatIsIsolated:
             "from ddpc_cosim import Plant\n\n\nclass Own(Plant):\n    pass\n", encoding="utf-8"
         )
         monkeypatch.syspath_prepend(tmp_path)
-        section = PlantSection.model_validate({"name": "own:Own", "isolated": True})
+        section = read(PlantSection, {"name": "own:Own", "isolated": True})
         with pytest.raises(ConfigError, match='plant "own:Own" is a Python class; only FMUs can be isolated'):
             PlantSpec.of(section, tmp_path)

@@ -97,7 +97,7 @@ def test_all_is_taken_and_one_table_joins(folder: Path) -> None:
         assert list(own.controllers) == ["mfapc", "pid", "mine"]
         assert {key: own.controllers[key] for key in theirs.controllers} == theirs.controllers
         same = {"controllers": theirs.controllers, "report": theirs.report}
-        assert own.model_copy(update=same) == theirs
+        assert replace(own, **same) == theirs
         assert own.report.limitations == ["short"]
         shown = {panel.title: panel.controllers for panel in own.report.panels}
         assert shown == {"Both": ["mfapc", "pid"], "One": ["pid"], "Mine": ["mine"]}

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from pydantic import TypeAdapter
 
 from ddpc_controllers import MFAPC, PID, DeePC
 from ddpc_cosim import (
@@ -49,8 +48,10 @@ from ddpc_cosim import (
     record,
     setting,
 )
+from ddpc_cosim.codec import read
+from ddpc_cosim.excitations import excitation_of, excited_together
 from ddpc_cosim.study.cases import cases_of, run_case
-from ddpc_cosim.study.file_format.signal_sections import ExcitationSection, Excited, Experiment, InputSection
+from ddpc_cosim.study.file_format.sections import RecordingSection, ScenarioSection
 from ddpc_cosim.study.file_format.written import controller_table, experiment_table, signal_table
 from ddpc_cosim.study.reading import read_study
 
@@ -70,12 +71,14 @@ SIGNALS = st.one_of(
 
 
 def vars_of(signal: Any) -> list[float]:
-    return list(np.concatenate([np.ravel(getattr(signal, one.name)) for one in fields(signal)]))
+    return list(
+        np.concatenate([np.ravel(getattr(signal, one.name)) for one in fields(signal) if one.name != "unit"])
+    )
 
 
 def read_back(table: dict[str, Any]) -> Reference:
-    section = TypeAdapter[Any](InputSection).validate_python(table)
-    built: Reference = section.build(Variable("x"), lambda value: value)
+    signal: Any = read(ScenarioSection, {"inputs": {"x": table}}).inputs["x"]
+    built: Reference = signal.in_unit(Variable("x"))
     return built
 
 
@@ -111,17 +114,14 @@ def test_a_signal_of_ones_own_has_no_written_form() -> None:
 def test_a_file_says_an_experiment_as_it_is(excitation: Any) -> None:
     """Each input's table builds what excites it; inputs of one kind are excited together."""
     table = experiment_table(excitation, ["a", "b"])
-    sections = {
-        name: TypeAdapter[Any](ExcitationSection).validate_python(one)
-        for name, one in table["excitation"].items()
-    }
-    groups: dict[str, list[str]] = {}
-    for name, section in sections.items():
-        groups.setdefault(section.group(name), []).append(name)
+    entries = read(RecordingSection, table).excitation
+    groups: dict[object, list[str]] = {}
+    for name, entry in entries.items():
+        groups.setdefault(excited_together(entry, name), []).append(name)
     drawn = np.empty((table["samples"], 2))
     for group in groups.values():
-        members = [Excited(sections[name], Variable(name), float) for name in group]
-        built = members[0].section.build(members, Experiment(table["samples"], 0.1))
+        members = [(entries[name], Variable(name)) for name in group]
+        built = excitation_of(members, table["samples"], 0.1, is_added=False)
         drawn[:, [["a", "b"].index(name) for name in group]] = built.with_seed(7).draw(len(group))
     np.testing.assert_array_equal(drawn, excitation.with_seed(7).draw(2))
 

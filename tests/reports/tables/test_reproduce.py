@@ -65,7 +65,7 @@ def test_results_of_earlier_versions_have_the_command_that_was_typed(make_result
 def test_a_plant_of_several_problems_stands_once(make_results: MakeResults) -> None:
     one = make_results()
     names = ["first", "second", "third"]
-    studies = {name: one.study.model_copy(update={"name": name, "title": name.upper()}) for name in names}
+    studies = {name: replace(one.study, name=name, title=name.upper()) for name in names}
     facts = {f"{name}: {key}": fact for name in names for key, fact in PLANT.items()}
     facts["third: plant content"] = "cafe level~10.0"
     cases = [replace(case, problem=name) for name in names for case in one.cases]

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import CaseResult, ConfigError, Outcome
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.verdicts.claims import CheckedClaim, check_claims
@@ -48,7 +49,7 @@ def checked(values: dict[str, list[float]], *failing: tuple[str, int], **claim: 
         for name, own in values.items()
         for seed, value in enumerate(own)
     ]
-    (found,) = check_claims(Study.model_validate(STUDY | {"report": report}), cases)
+    (found,) = check_claims(read(Study, STUDY | {"report": report}), cases)
     return found
 
 

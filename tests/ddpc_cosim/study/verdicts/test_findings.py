@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
 
@@ -25,7 +26,8 @@ def found(
     rng = np.random.default_rng(5)
     table = {name: of if isinstance(of, dict) else {"nominal": of} for name, of in levels.items()}
     scenarios = {scenario: {} for scenario in dict.fromkeys(s for of in table.values() for s in of)}
-    study = Study.model_validate(
+    study = read(
+        Study,
         {
             "plant": {"name": "p"},
             "loop": {"sampling_time": 0.1, "duration": 1.0},
@@ -33,7 +35,7 @@ def found(
             "controllers": {name: {"type": name} for name in levels},
             "scenarios": scenarios,
             **changes,
-        }
+        },
     )
     cases = [
         CaseResult(

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome
+from ddpc_cosim.codec import read
 from ddpc_cosim.responses import EndWindow, Tracking
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.judgement import (
@@ -102,7 +103,8 @@ def test_that_all_failed_is_said_where_it_is_true(cases: list[CaseResult], sente
 
 
 def study_of_three(limitations: list[str], **changes: Any) -> Study:
-    return Study.model_validate(
+    return read(
+        Study,
         {
             "name": "s",
             "seeds": [0],
@@ -112,7 +114,7 @@ def study_of_three(limitations: list[str], **changes: Any) -> Study:
             "controllers": {name: {"type": "pid"} for name in ("a", "b", "rest", "full")},
             "report": {"limitations": limitations, **changes},
             "scenarios": {"calm": {}, "storm": {"label": "in a storm"}, "blind": {}},
-        }
+        },
     )
 
 

@@ -38,6 +38,7 @@ from ddpc_cosim import (
     WhiteNoise,
     cosimulate,
 )
+from ddpc_cosim.codec import read
 from ddpc_cosim.signals import GaussianNoise
 from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.verdicts.judgement import judged, run_of, scenario_remarks
@@ -176,7 +177,7 @@ def scenario(**given: Any) -> ScenarioSection:
     """Return a scenario with such noise and quantisation; of disturbances it counts that there are some."""
     some = [{"kind": "constant", "value": 1.0}]
     disturbances = dict.fromkeys(given.pop("disturbances", ()), some)
-    return ScenarioSection.model_validate({**given, "disturbances": disturbances})
+    return read(ScenarioSection, {**given, "disturbances": disturbances})
 
 
 def judge(plant: Plant, controller: Controller, seed: int, reference: Any, **loop: Any) -> CaseResult:

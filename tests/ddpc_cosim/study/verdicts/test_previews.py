@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim import CaseResult, Outcome
+from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
 from ddpc_cosim.study.verdicts.standings import standings
@@ -14,14 +15,15 @@ KEY = "mean_abs_error.y [K]"
 
 
 def study(**scenarios: dict[str, Any]) -> Study:
-    return Study.model_validate(
+    return read(
+        Study,
         {
             "plant": {"name": "p"},
             "loop": {"sampling_time": 0.1, "duration": 1.0},
             "reference": {"y": {"kind": "constant", "value": 1.0}},
             "controllers": {"a": {"type": "a"}, "b": {"type": "b"}},
             "scenarios": scenarios,
-        }
+        },
     )
 
 

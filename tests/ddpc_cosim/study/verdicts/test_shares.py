@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import CaseResult, ConfigError, Outcome, StudyResults
+from ddpc_cosim.codec import read, write
 from ddpc_cosim.study.file_format.sections import ReferencePoints, Study, StudyHead
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.verdicts.shares import describe_shares, share_runs, shares_of
@@ -42,15 +43,16 @@ def share(value: float, zero: float, full: float) -> float:
 
 def study(name: str, points: ReferencePoints | None = POINTS) -> Study:
     types = {"type": "idle"}
-    return Study.model_validate(
+    return read(
+        Study,
         {
             "name": name,
             "plant": {"name": "pendulum"},
             "loop": {"sampling_time": 0.1, "duration": 1.0},
             "reference": {"angle": {"kind": "constant", "value": 0.0}},
             "controllers": {"rest": types, "possible": types, "own": types, "other": types},
-            "report": {"reference_points": points.model_dump() if points else None},
-        }
+            "report": {"reference_points": write(points) if points else None},
+        },
     )
 
 

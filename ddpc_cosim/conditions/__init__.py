@@ -3,25 +3,32 @@
 The order of effects, at sample k:
 
 1. The controller's inputs, clipped at their bounds: ``u`` of the trace.
-2. The actuator: its rate limit, then its delay.
+2. The actuator: its rate limit, then its delay, then its backlash.
 3. The input disturbance is added. This, and the signals of the inputs that no controller drives, is what the
    plant holds over [t_k, t_k+1): ``applied`` of the trace.
 4. The plant; the output disturbance is added to its outputs: ``y`` of the trace, of which metrics are taken.
 5. The sensor: its delay, then noise, quantisation and loss: ``measured`` of the trace, and all that the
    controller sees.
+
+What actuators and sensors do are classes derived from :class:`Condition`, one in a file of this folder each;
+third parties install theirs by the entry point ``ddpc_cosim.conditions``, with an ``order`` among them.
 """
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from numbers import Real
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddpc_cosim.conditions.condition import Condition, ConditionSetup, Place
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.signals import Reference, Steps, values_at
+from ddpc_cosim.plugins import Plugin, installed, source_hash
+from ddpc_cosim.signals import Reference, Steps, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
+from fmu_plants.spelling import did_you_mean
 
 Disturbance = Reference | Sequence[Reference]
 """One signal, or several that are added up."""
@@ -30,12 +37,53 @@ HELD = "a measurement is missing, its last value stands in"
 """Status of a sample at which a controller that needs all measurements was handed an older one."""
 
 # Which stream of a seed serves whom, from 3 on: lower ones are those of loop_setup.
-_DISTURBANCES, _SIGNALS, _EXPERIMENT_SIGNALS, _LOSSES = 3, 4, 5, 6
-# By how much a delay may miss a whole number of samples, in parts of it.
-_ROUNDING = 1e-9
+_DISTURBANCES, _SIGNALS, _EXPERIMENT_SIGNALS = 3, 4, 5
+_SIGNAL_KEYS = ("disturbances", "inputs", "recorded_inputs")
+# What ``repr`` shows always: ids of cases depend on it.
+_SHOWN = ("rate_limit", "delay", "quantum", "loss")
 
 
-@dataclass(frozen=True, slots=True)
+class _Kinds(NamedTuple):
+    """The kinds of conditions by name, in their order, and why others are left out."""
+
+    kinds: dict[str, type[Condition]]
+    faults: tuple[str, ...]
+
+
+@cache
+def _kinds() -> _Kinds:
+    plugins = installed("conditions")
+    faults = {plugin.name: fault for plugin in plugins if (fault := fault_of_plugin(plugin))}
+    found = {plugin.name: plugin.value for plugin in plugins if plugin.name not in faults}
+    ordered = sorted(found, key=lambda name: (found[name].order, name))
+    told = tuple(f"condition {name}: {fault}" for name, fault in faults.items())
+    return _Kinds({name: found[name] for name in ordered}, told)
+
+
+def all_conditions() -> Mapping[str, type[Condition]]:
+    """Return what actuators and sensors may do, by name, in the order of effects."""
+    return _kinds().kinds
+
+
+def broken_conditions() -> tuple[str, ...]:
+    """Return why installed kinds of conditions are left out."""
+    return _kinds().faults
+
+
+def fault_of_plugin(plugin: Plugin) -> str:
+    """Return why an installed object cannot be a kind of condition; empty if it can."""
+    kind = plugin.value
+    if plugin.error:
+        return plugin.error
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", plugin.name):
+        return "needed: a name of letters, digits and _, as it is a keyword in Python"
+    if not (isinstance(kind, type) and issubclass(kind, Condition)):
+        return f"needed: a class derived from ddpc_cosim.Condition, got {kind!r}"
+    missing = [name for name in ("places", "order", "value", "words") if not hasattr(kind, name)]
+    return f"{kind.__name__} does not set {', '.join(missing)}" if missing else ""
+
+
+@dataclass(frozen=True, init=False, repr=False)
 class Conditions:
     """What acts on a plant besides its controller, and what its actuators and sensors do.
 
@@ -57,12 +105,16 @@ class Conditions:
     delay : mapping of str to float
         By how much an input acts, or a measurement arrives, late [s]: a whole number of samples. Until then
         the input is at rest, the measurement as at the first sample.
+    backlash : mapping of str to float
+        Width of the play between an input and the plant.
     quantum : mapping of str to float
         Measurements are rounded to whole multiples of it.
     loss : mapping of str to float
         Probability that a measurement is lost at a sample; at the first one it never is. A controller that
         accepts missing measurements sees NaN, any other the last value that arrived, with a status that
         counts as a fallback.
+    **effects : mapping of str to float
+        The same of what is installed: see :class:`Condition`.
 
     Raises
     ------
@@ -70,50 +122,100 @@ class Conditions:
         Impossible values; all faults at once.
     """
 
-    disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
-    inputs: Mapping[str, Reference] = field(default_factory=dict)
-    recorded_inputs: Mapping[str, Reference] = field(default_factory=dict)
-    rate_limit: Mapping[str, float] = field(default_factory=dict)
-    delay: Mapping[str, float] = field(default_factory=dict)
-    quantum: Mapping[str, float] = field(default_factory=dict)
-    loss: Mapping[str, float] = field(default_factory=dict)
+    disturbances: Mapping[str, Disturbance]
+    inputs: Mapping[str, Reference]
+    recorded_inputs: Mapping[str, Reference]
+    effects: Mapping[str, Mapping[str, float]]
 
-    def __post_init__(self) -> None:
-        given = {item.name: getattr(self, item.name) for item in fields(self)}
-        unnamed = [
+    def __init__(
+        self,
+        disturbances: Mapping[str, Disturbance] | None = None,
+        inputs: Mapping[str, Reference] | None = None,
+        recorded_inputs: Mapping[str, Reference] | None = None,
+        **effects: Mapping[str, float],
+    ) -> None:
+        signals = (disturbances, inputs, recorded_inputs)
+        for key, value in zip(_SIGNAL_KEYS, signals, strict=True):
+            object.__setattr__(self, key, {} if value is None else value)
+        object.__setattr__(self, "effects", {key: value for key, value in effects.items() if value != {}})
+        if faults := self._faults():
+            raise ConfigError(faults)
+
+    def _faults(self) -> list[str]:
+        known = all_conditions()
+        given = {key: getattr(self, key) for key in _SIGNAL_KEYS} | dict(self.effects)
+        unknown = [key for key in self.effects if key not in known]
+        faults = [
+            f"conditions: there is no condition {key}; {did_you_mean(key, (*_SIGNAL_KEYS, *known))}"
+            for key in unknown
+        ]
+        faults += [
             f"{key}: needed: a mapping from names of signals, got {value!r}"
             for key, value in given.items()
             if not isinstance(value, Mapping)
         ]
-        if unnamed:
-            raise ConfigError(unnamed)
-        finite, least, most = "a finite number", math.ulp(0.0), math.nextafter(math.inf, 0.0)
-        allowed = {
-            "rate_limit": (least, most, f"{finite} > 0"),
-            "delay": (0.0, most, f"{finite} >= 0"),
-            "quantum": (least, most, f"{finite} > 0"),
-            "loss": (0.0, 1.0, "a probability from 0 to 1"),
-        }
+        if faults:
+            return faults
         faults = [
-            f"{key} of {name} = {value!r} is not possible; allowed: {words}"
-            for key, (low, high, words) in allowed.items()
-            for name, value in given[key].items()
-            if not (isinstance(value, Real) and low <= float(value) <= high)
+            f"{key} of {name} = {value!r} is not possible; allowed: {kind.allowed()}"
+            for key, kind in known.items()
+            for name, value in self.of(key).items()
+            if not kind.is_possible(value)
         ]
         faults += [
             f"{key} of {name}: needed: a signal of time, of a class derived from Reference, got {signal!r}"
-            for key in ("disturbances", "inputs", "recorded_inputs")
+            for key in _SIGNAL_KEYS
             for name, signals in given[key].items()
             for signal in (_parts(signals) if key == "disturbances" else (signals,))
             if not isinstance(signal, Reference)
         ]
-        faults += [
+        return faults + [
             f"recorded_inputs of {name}: it has no signal in inputs, by which no controller drives it"
             for name in self.recorded_inputs
             if name not in self.inputs
         ]
-        if faults:
-            raise ConfigError(faults)
+
+    def of(self, kind: str) -> Mapping[str, float]:
+        """Return the values of a kind of condition, by signal."""
+        return self.effects.get(kind, {})
+
+    def with_inputs(self, inputs: Mapping[str, Reference]) -> "Conditions":
+        """Return the same with other signals of the inputs that no controller drives."""
+        return Conditions(self.disturbances, inputs, self.recorded_inputs, **self.effects)
+
+    def __getattr__(self, name: str) -> Mapping[str, float]:
+        if name.startswith("__") or name not in all_conditions():
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return self.of(name)
+
+    def __repr__(self) -> str:
+        effects = {key: self.of(key) for key in dict.fromkeys((*_SHOWN, *sorted(self.effects)))}
+        given = {key: getattr(self, key) for key in _SIGNAL_KEYS} | effects
+        return f"Conditions({', '.join(f'{key}={value!r}' for key, value in given.items())})"
+
+    @property
+    def loses(self) -> bool:
+        """Whether measurements can be lost."""
+        return any(all_conditions()[name].loses for name in self.effects)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """For each kind that a third party has installed, a hash of its source."""
+        modules = {name: all_conditions()[name].__module__ for name in self.effects}
+        return {
+            name: source_hash(module)
+            for name, module in modules.items()
+            if not module.startswith(f"{__name__}.")
+        }
+
+    def faults_in(
+        self, sampling_time: float, steps: float = math.inf, run: str = "run"
+    ) -> Iterable[tuple[str, str, str]]:
+        """Yield kind, signal, and what is wrong with it in a run of so many sampling intervals."""
+        for key, values in self.effects.items():
+            for name, value in values.items():
+                if fault := all_conditions()[key].fault_of(value, sampling_time, steps, run):
+                    yield key, name, fault
 
 
 def may_have(
@@ -128,13 +230,14 @@ def may_have(
     inputs : iterable of str
         All inputs of the plant.
     """
+    passing = {"actuator": driven, "sensor": measurements}
     return {
         "disturbances": ("input or output", (*driven, *outputs, *measurements)),
         "inputs": ("input that no controller drives", tuple(inputs)),
-        "rate_limit": ("input that the controllers drive", tuple(driven)),
-        "delay": ("input or measurement", (*driven, *measurements)),
-        "quantum": ("measurement", tuple(measurements)),
-        "loss": ("measurement", tuple(measurements)),
+        **{
+            name: (kind.whose(), tuple(signal for place in kind.places for signal in passing[place]))
+            for name, kind in all_conditions().items()
+        },
     }
 
 
@@ -148,21 +251,24 @@ def changed_inputs(conditions: Conditions, inputs: Sequence[Variable]) -> tuple[
     inputs : sequence of Variable
         All inputs of the plant.
     """
-    late = {name for name, delay in conditions.delay.items() if delay}
-    changed = late.union(conditions.disturbances, conditions.inputs, conditions.rate_limit)
+    changed = {*conditions.disturbances, *conditions.inputs}
+    for key, kind in all_conditions().items():
+        if "actuator" in kind.places:
+            changed |= {name for name, value in conditions.of(key).items() if value != kind.neutral}
     return tuple(variable for variable in inputs if variable.name in changed)
 
 
-def delay_error(delay: float, sampling_time: float, steps: float = math.inf, run: str = "run") -> str:
-    """Return why a delay [s] is not possible in a run of so many sampling intervals; empty if it is."""
-    late = delay / sampling_time
-    if late > steps * (1.0 - _ROUNDING):
-        length = f"the {run} ends after {steps * sampling_time:g} s"
-        return f"{delay:g} s is too long: {length}; choose a shorter delay"
-    if abs(round(late) - late) > _ROUNDING * max(late, 1.0):
-        nearest = " or ".join(f"{whole * sampling_time:g}" for whole in (math.floor(late), math.ceil(late)))
-        return f"{delay:g} s is not a whole number of samples of {sampling_time:g} s; nearest: {nearest} s"
-    return ""
+def _effects(
+    place: Place, signals: Sequence[str], conditions: Conditions, setup: tuple[float, int]
+) -> list[Condition]:
+    """Return what is done to signals in a place, in its order; ``setup``: the sampling time and the seed."""
+    effects = []
+    for key, kind in all_conditions().items():
+        given = conditions.of(key)
+        values = np.array([float(given.get(name, kind.neutral)) for name in signals])
+        if place in kind.places and (values != kind.neutral).any():
+            effects.append(kind(ConditionSetup(place, signals, values, *setup)))
+    return effects
 
 
 class Actuators:
@@ -193,20 +299,18 @@ class Actuators:
         self._conditions, self._seed, self._rest = conditions, seed, rest
         all_names = names(inputs)
         self._is_driven = np.array([name not in conditions.inputs for name in all_names], dtype=bool)
-        self._driven = [name for name in all_names if name not in conditions.inputs]
-        self._others = [name for name in all_names if name in conditions.inputs]
-        limits = [conditions.rate_limit.get(name, np.inf) for name in self._driven]
-        self._reach = np.array(limits) * sampling_time
-        self._delay = _Delay(self._driven, conditions, sampling_time)
+        self._driven = [variable for variable in inputs if variable.name not in conditions.inputs]
+        self._others = [variable for variable in inputs if variable.name in conditions.inputs]
+        self._effects = _effects("actuator", names(self._driven), conditions, (sampling_time, seed))
         changed = names(changed_inputs(conditions, inputs))
         self._changed = np.array([all_names.index(name) for name in changed], dtype=np.intp)
 
     def start(self, time: FloatArray, *, in_experiment: bool, continues: bool) -> None:
         """Draw the signals of a run at its times [s], shape (K,), which starts from rest or continues one."""
         conditions, seed = self._conditions, self._seed
-        if not continues:
-            self._position = self._rest
-            self._delay.fill(self._rest)
+        self._acting = [one for one in self._effects if one.in_experiments or not in_experiment]
+        for effect in self._acting:
+            effect.start(time, None if continues and effect.in_experiments else self._rest)
         stream, signals = _SIGNALS, conditions.inputs
         if in_experiment:
             stream, signals = _EXPERIMENT_SIGNALS, {**signals, **conditions.recorded_inputs}
@@ -217,8 +321,8 @@ class Actuators:
         """Return what the plant holds from sample k on, shape (all inputs,), where u is commanded."""
         if not self._changed.size:
             return u.copy()  # a plant may use its inputs up
-        u = self._position = np.clip(u, self._position - self._reach, self._position + self._reach)
-        u = self._delay(u)
+        for effect in self._acting:
+            u = effect.apply(k, u)
         if self._added is not None:
             u = u + self._added[k]
         applied = np.empty(len(self._is_driven))
@@ -259,12 +363,9 @@ class Sensors:
         rng: np.random.Generator,
     ) -> None:
         self._conditions, self._seed, self._rng = conditions, seed, rng
-        self._names = names(outputs)
+        self._outputs, self._names = outputs, names(outputs)
         self._deviation, self._is_noisy = deviation, bool(deviation.any())
-        self._delay = _Delay(self._names, conditions, sampling_time)
-        quantum = np.array([conditions.quantum.get(name, 0.0) for name in self._names])
-        self._rounded = np.flatnonzero(quantum)
-        self._quantum = quantum[self._rounded]
+        self._effects = _effects("sensor", self._names, conditions, (sampling_time, seed))
 
     def start(self, time: FloatArray, *, in_experiment: bool, continues: bool, holds: bool) -> None:
         """Draw disturbances and losses of a run at its times [s], shape (K,), as for actuators.
@@ -273,16 +374,16 @@ class Sensors:
         """
         conditions, seed = self._conditions, self._seed
         if not continues:
-            self._delay.empty()
             self._seen = np.empty(0)
-        self._added = None if in_experiment else _disturbances(conditions, self._names, time, seed)
-        self._lost: NDArray[np.bool_] | None = None
+        acting = [one for one in self._effects if one.in_experiments or not in_experiment]
+        for effect in acting:
+            unknown = np.full(len(self._names), np.nan)
+            effect.start(time, None if continues and effect.in_experiments else unknown)
+        self._before_noise = [one for one in acting if one.order < 0]
+        self._after_noise = [one for one in acting if one.order >= 0]
+        self._loses = any(one.loses for one in acting)
+        self._added = None if in_experiment else _disturbances(conditions, self._outputs, time, seed)
         self._holds = holds
-        if conditions.loss and not in_experiment:
-            self._lost = np.zeros((len(time), len(self._names)), dtype=bool)
-            for column, name in enumerate(self._names):
-                drawn = np.random.default_rng([seed, _LOSSES, *name.encode()]).random(len(time))
-                self._lost[1:, column] = drawn[1:] < conditions.loss.get(name, 0.0)
 
     def disturb(self, k: int, y: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, shape (all outputs,), with their disturbances."""
@@ -290,50 +391,19 @@ class Sensors:
 
     def measure(self, k: int, y: FloatArray) -> tuple[FloatArray, str]:
         """Return the outputs as a controller sees them at sample k, and ``HELD`` if one of them is older."""
-        y = self._delay(y)
+        for effect in self._before_noise:
+            y = effect.apply(k, y)
         if self._is_noisy:
             n = len(self._deviation)
             y = y.copy()
             y[:n] += self._deviation * self._rng.standard_normal(n)
-        if self._rounded.size:
-            y = y.copy()
-            y[self._rounded] = np.round(y[self._rounded] / self._quantum) * self._quantum
-        if self._lost is None:
+        for effect in self._after_noise:
+            y = effect.apply(k, y)
+        if not self._loses:
             return y, ""
-        lost = self._lost[k]
+        lost = np.isnan(y)
         self._seen = y = np.where(lost, self._seen if self._holds and lost.any() else np.nan, y)
         return y, HELD if self._holds and lost.any() else ""
-
-
-class _Delay:
-    """Gives values back later, each signal's by its own number of samples.
-
-    Until then it gives back what it is filled with, or the first values if it is empty.
-    """
-
-    def __init__(self, signals: Sequence[str], conditions: Conditions, sampling_time: float) -> None:
-        samples = [round(conditions.delay.get(name, 0.0) / sampling_time) for name in signals]
-        self._samples, self._columns = np.array(samples, dtype=np.intp), np.arange(len(samples))
-        self._is_late = any(samples)
-        self._count = 0
-        self.empty()
-
-    def empty(self) -> None:
-        self._past = np.empty((0, len(self._samples)))
-
-    def fill(self, values: FloatArray) -> None:
-        self._past = np.tile(values, (int(self._samples.max(initial=0)) + 1, 1))
-
-    def __call__(self, values: FloatArray) -> FloatArray:
-        if not self._is_late:
-            return values
-        if not len(self._past):
-            self.fill(values)
-        length = len(self._past)
-        self._past[self._count % length] = values
-        delayed: FloatArray = self._past[(self._count - self._samples) % length, self._columns]
-        self._count += 1
-        return delayed
 
 
 def _parts(signal: Disturbance) -> Sequence[Reference]:
@@ -341,11 +411,11 @@ def _parts(signal: Disturbance) -> Sequence[Reference]:
 
 
 def _disturbances(
-    conditions: Conditions, signals: Sequence[str], time: FloatArray, seed: int
+    conditions: Conditions, signals: Sequence[Variable], time: FloatArray, seed: int
 ) -> FloatArray | None:
     """Return what is added to each signal at each time, shape (K, len(signals)); None if nothing is."""
     given = conditions.disturbances
-    if given.keys().isdisjoint(signals):
+    if given.keys().isdisjoint(names(signals)):
         return None
     return _sums("disturbances", given, signals, time, (seed, _DISTURBANCES))
 
@@ -360,7 +430,7 @@ def _begun(disturbance: Reference, time: FloatArray) -> FloatArray | float:
 def _sums(
     what: str,
     given: Mapping[str, Disturbance],
-    signals: Sequence[str],
+    signals: Sequence[Variable],
     time: FloatArray,
     seed: tuple[int, int],
 ) -> FloatArray:
@@ -369,8 +439,10 @@ def _sums(
     What is random has a seed of its own: what else there is does not change it.
     """
     table = np.zeros((len(time), len(signals)))
-    for column, name in enumerate(signals):
+    for column, variable in enumerate(signals):
+        name = variable.name
         for number, part in enumerate(_parts(given.get(name, ()))):
+            part = in_unit_of(variable, part, difference=what == "disturbances")
             own = np.random.SeedSequence([*seed, number, *name.encode()]).generate_state(1, np.uint64)
             values = values_at(part.with_seed(int(own[0])), f"{what} of {name}", time)
             table[:, column] += values * _begun(part, time) if what == "disturbances" else values

@@ -1,0 +1,67 @@
+"""Inputs that act late, and measurements that arrive late."""
+
+import math
+
+import numpy as np
+
+from ddpc_cosim.conditions.condition import Condition, ConditionSetup
+from ddpc_cosim.settings import SettingInfo
+from ddpc_cosim.variables import FloatArray
+
+# By how much a delay may miss a whole number of samples, in parts of it.
+_ROUNDING = 1e-9
+
+
+class Delay(Condition):
+    """An input acts, or a measurement arrives, a whole number of samples late.
+
+    Until then the input is at rest, the measurement as at the first sample.
+    """
+
+    places = ("actuator", "sensor")
+    order = -10
+    value = SettingInfo("by how much an input acts, or a measurement arrives, late [s]", low=0, unit="s")
+    words = "delay of {name} {value}"
+
+    def __init__(self, setup: ConditionSetup) -> None:
+        super().__init__(setup)
+        self._samples = np.array(
+            [round(delay / setup.sampling_time) for delay in setup.values], dtype=np.intp
+        )
+        self._columns = np.arange(len(self._samples))
+        self._count = 0
+
+    def start(self, time: FloatArray, rest: FloatArray | None) -> None:
+        """Give back what is at rest first, or go on."""
+        if rest is not None:
+            self._is_empty = bool(np.isnan(rest).any())
+            self._fill(rest)
+
+    def _fill(self, values: FloatArray) -> None:
+        self._past = np.tile(values, (int(self._samples.max(initial=0)) + 1, 1))
+
+    def apply(self, k: int, values: FloatArray) -> FloatArray:
+        """Return the values of before, each signal's by its own number of samples."""
+        if self._is_empty:
+            self._fill(values)
+            self._is_empty = False
+        length = len(self._past)
+        self._past[self._count % length] = values
+        delayed: FloatArray = self._past[(self._count - self._samples) % length, self._columns]
+        self._count += 1
+        return delayed
+
+    @classmethod
+    def fault_of(cls, value: float, sampling_time: float, steps: float = math.inf, run: str = "run") -> str:
+        """Return why it is longer than the run, or not a whole number of samples; empty if it is possible."""
+        late = value / sampling_time
+        if late > steps * (1.0 - _ROUNDING):
+            length = f"the {run} ends after {steps * sampling_time:g} s"
+            return f"{value:g} s is too long: {length}; choose a shorter delay"
+        if abs(round(late) - late) > _ROUNDING * max(late, 1.0):
+            whole = (f"{n * sampling_time:g}" for n in (math.floor(late), math.ceil(late)))
+            nearest = " or ".join(whole)
+            return (
+                f"{value:g} s is not a whole number of samples of {sampling_time:g} s; nearest: {nearest} s"
+            )
+        return ""
