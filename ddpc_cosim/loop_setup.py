@@ -194,7 +194,7 @@ class LoopSetup:
         conditions = conditions or Conditions()
         if open_loop:
             resting = {variable.name: Constant(variable.start) for variable in plant.inputs}
-            conditions = conditions.with_inputs({**resting, **conditions.inputs})
+            conditions = replace(conditions, inputs={**resting, **conditions.inputs})
         self._conditions, self._open_loop = conditions, open_loop
         self.inputs = tuple(v for v in plant.inputs if v.name not in conditions.inputs)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)

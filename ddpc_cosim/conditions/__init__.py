@@ -113,8 +113,10 @@ class Conditions:
         Probability that a measurement is lost at a sample; at the first one it never is. A controller that
         accepts missing measurements sees NaN, any other the last value that arrived, with a status that
         counts as a fallback.
-    **effects : mapping of str to float
-        The same of what is installed: see :class:`Condition`.
+    effects : mapping of str to mapping of str to float
+        The same from ``rate_limit`` on, by name, and what is installed: see :class:`Condition`.
+    **more : mapping of str to float
+        These as keywords.
 
     Raises
     ------
@@ -132,12 +134,14 @@ class Conditions:
         disturbances: Mapping[str, Disturbance] | None = None,
         inputs: Mapping[str, Reference] | None = None,
         recorded_inputs: Mapping[str, Reference] | None = None,
-        **effects: Mapping[str, float],
+        effects: Mapping[str, Mapping[str, float]] | None = None,
+        **more: Mapping[str, float],
     ) -> None:
         signals = (disturbances, inputs, recorded_inputs)
         for key, value in zip(_SIGNAL_KEYS, signals, strict=True):
             object.__setattr__(self, key, {} if value is None else value)
-        object.__setattr__(self, "effects", {key: value for key, value in effects.items() if value != {}})
+        given = {**(effects or {}), **more}
+        object.__setattr__(self, "effects", {key: value for key, value in given.items() if value != {}})
         if faults := self._faults():
             raise ConfigError(faults)
 
@@ -178,10 +182,6 @@ class Conditions:
     def of(self, kind: str) -> Mapping[str, float]:
         """Return the values of a kind of condition, by signal."""
         return self.effects.get(kind, {})
-
-    def with_inputs(self, inputs: Mapping[str, Reference]) -> "Conditions":
-        """Return the same with other signals of the inputs that no controller drives."""
-        return Conditions(self.disturbances, inputs, self.recorded_inputs, **self.effects)
 
     def __getattr__(self, name: str) -> Mapping[str, float]:
         if name.startswith("__") or name not in all_conditions():

@@ -83,7 +83,7 @@ class Scenarios:
             disturbances=disturbances,
             inputs=resting | inputs,
             recorded_inputs=recorded,
-            **scenario.effects,
+            effects=scenario.effects,
         )
 
     @independent

@@ -267,7 +267,7 @@ def test_what_is_installed_is_listed_as_json() -> None:
     result = invoke("list", "--json")
     assert result.exit_code == 0
     listed = json.loads(result.stdout)
-    assert list(listed) == ["plants", "controllers", "studies", "metrics", "reports"]
+    assert list(listed) == ["plants", "controllers", "studies", "metrics", "conditions", "reports"]
     for entries in listed.values():
         assert {tuple(entry) for entry in entries} == {("name", "what", "package", "target", "works")}
     names = {kind: [entry["name"] for entry in entries] for kind, entries in listed.items()}
