@@ -47,7 +47,7 @@ WRONG: dict[str, str] = {
     "diff nowhere": "takes 2 values",
     "list plant": '"plant" is not possible; did you mean "plants"?',
     "list study": '"study" is not possible; did you mean "studies"?',
-    "list everything": "there are: controllers, metrics, plants, reports, studies",
+    "list everything": "there are: conditions, controllers, metrics, plants, reports, studies",
     "simulate pendulm": 'error: no plant "pendulm"; did you mean "pendulum"?',
     "simulate nowhere.fmu": "error: nowhere.fmu: no such file",
     "simulate bad.fmu": "error: bad.fmu: not an FMU",
