@@ -127,7 +127,7 @@ def cosimulate(
         The controller; it is started here. None: the plant runs in open loop, on the signals of its inputs
         (``conditions``), the others at rest; outputs are measured and none is controlled.
     sampling_time, duration : float
-        Time between samples and simulated time [s]; the duration is a whole number of samples.
+        Time between samples and simulated time [s]; the duration is an integer multiple of the sampling time.
     reference : Reference or mapping of str to Reference
         Reference of the controlled output, or of each by name, in their units.
     excitation : Excitation, optional

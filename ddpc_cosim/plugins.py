@@ -443,7 +443,7 @@ def package_version() -> str:
 def code_version(controller: str) -> str:
     """Return a hash of the source of the master and of the package that a controller comes from.
 
-    It can be any class that a setting names; with a name of nothing comes no code.
+    It can be any class that a setting names; an unknown name has no code.
     """
     try:
         return source_hash(__name__) + hash_of_code(controller, load_plugin("controllers", controller))

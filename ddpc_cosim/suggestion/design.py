@@ -194,12 +194,12 @@ def sampling_time(
 ) -> float:
     """Return a sampling time [s]: 1, 2 or 5 times a power of ten, or a multiple of fixed steps.
 
-    A duration that is given is a whole number of samples.
+    A duration that is given is an integer multiple of the sampling time.
 
     Raises
     ------
     ConfigError
-        It is not a whole number of fixed steps.
+        It is not an integer multiple of the fixed step.
     """
     responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
     slow = [r for r in responses if r.type is ResponseType.SETTLED and not (r.is_transient or r.rings)]

@@ -179,7 +179,7 @@ class Law(Protocol):
         """Return the optimal move, or the documented fallback with its reason."""
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return what there is to say of the last move; arguments as of :func:`ends_told`."""
+        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_told`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +224,7 @@ class _BoundedLaw(ABC):
         self._solution: Solution | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return what there is to say of the last move; arguments as of :func:`ends_told`."""
+        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_told`."""
         if self._solution:
             return StepInfo(_all_told, (self._solution, self._rest, self._gain, ends, predicted, unit))
         if self._easier is None:
