@@ -1,4 +1,4 @@
-"""How a command declares its options, as a class its settings: in its parameters; those that several have."""
+"""How a command declares its options, as a class does its settings, and those that several have."""
 
 import math
 from collections import Counter
@@ -23,9 +23,10 @@ class Command(click.Command):
         """Parse the arguments, and say which option with one value has several."""
         if not ctx.resilient_parsing:
             _, _, given = self.make_parser(ctx).parse_args(list(args))
-            for option, count in Counter(param for param in given if isinstance(param, click.Option)).items():
-                if count > 1 and not (option.multiple or option.is_flag):
-                    name = next(name for name in option.opts if name.startswith("--"))
+            counts = Counter(param for param in given if isinstance(param, click.Option))
+            for single, count in counts.items():
+                if count > 1 and not (single.multiple or single.is_flag):
+                    name = next(name for name in single.opts if name.startswith("--"))
                     ctx.fail(f"{name} is given {count} times; allowed: once, as it has one value.")
         return super().parse_args(ctx, args)
 
@@ -43,11 +44,11 @@ def command(function: Callable[..., int]) -> Command:
     return Command(name, callback=function, params=params, help=function.__doc__)
 
 
-def argument(default: Any = ..., **more: Any) -> Any:
-    """Declare an argument, required without a default, by further keywords of :class:`click.Argument`."""
+def argument(**more: Any) -> Any:
+    """Declare an argument, which is required, by further keywords of :class:`click.Argument`."""
 
     def declare(name: str, kind: Any) -> click.Argument:
-        how = {"type": _type_of(kind), "required": default is ...}
+        how = {"type": _type_of(kind), "required": True}
         if get_origin(kind) is tuple:
             how["nargs"] = -1 if ... in get_args(kind) else len(get_args(kind))
         return click.Argument([name], **how | more)
@@ -159,7 +160,7 @@ FMI_VERSION = option("2.0", "FMI version.", show_default=True)
 PLATFORMS = option(None, "Platforms to compile for [this one].", metavar="all|NAME,...")
 
 
-def assignments(option: str, texts: Sequence[str], value_of: Callable[[str], T]) -> dict[str, T]:
+def assignments(called: str, texts: Sequence[str], value_of: Callable[[str], T]) -> dict[str, T]:
     """Return what an option that is repeated as ``NAME=VALUE`` says, by name.
 
     Raises
@@ -173,9 +174,9 @@ def assignments(option: str, texts: Sequence[str], value_of: Callable[[str], T])
         name, equals, value = text.rpartition("=")
         name = name.strip()
         if not (equals and name and value):
-            faults.append(f'{option} "{text}" is not possible; needed: NAME=VALUE')
+            faults.append(f'{called} "{text}" is not possible; needed: NAME=VALUE')
         elif name in values:
-            faults.append(f"{option}: {name} is given more than once")
+            faults.append(f"{called}: {name} is given more than once")
         else:
             values[name] = value_of(value)
     if faults:

@@ -26,7 +26,7 @@ class Entry(TypedDict):
 
 
 @command
-def list_(kind: Kind | None = argument(None), as_json: bool = JSON) -> int:
+def list_(kind: Kind | None = argument(required=False), as_json: bool = JSON) -> int:
     """List what is installed, built-in and third-party; a broken plug-in is shown with its error."""
     listed: dict[str, list[Entry]] = {}
     for name in (kind,) if kind else get_args(Kind):
