@@ -10,6 +10,7 @@ from rich.text import Text
 
 from ddpc_cosim.cli.output import screen
 from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.conditions import describe_condition
 from ddpc_cosim.metrics import METRICS, describe_metric
 from ddpc_cosim.plugins import describe, installed, package_version
 from ddpc_cosim.texts import printable
@@ -42,12 +43,15 @@ def list_command(kinds: Sequence[str], *, as_json: bool) -> int:
     return 0 if all(entry["works"] for entries in listed.values() for entry in entries) else 1
 
 
+_DESCRIBED = {"metrics": describe_metric, "conditions": describe_condition}
+
+
 def _entries(kind: str) -> Iterator[Entry]:
     own = f"ddpc-cosim {package_version()}"
     for name, metric in METRICS.items() if kind == "metrics" else ():
         yield Entry(name=name, what=str(metric), package=own, target=_BUILT_IN, works=True)
     for plugin in installed(kind):
-        what, works = describe_metric(plugin) if kind == "metrics" else describe(plugin)
+        what, works = _DESCRIBED.get(kind, describe)(plugin)
         yield Entry(name=plugin.name, what=what, package=plugin.package, target=plugin.target, works=works)
 
 
