@@ -19,13 +19,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
 from ddpc_cosim.conditions.condition import Condition, ConditionSetup, Place
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.plugins import Plugin, installed, source_hash
+from ddpc_cosim.plugins import Plugin, describe, installed, source_hash
 from ddpc_cosim.signals import Reference, Steps, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
@@ -43,34 +42,20 @@ _SIGNAL_KEYS = ("disturbances", "inputs", "recorded_inputs")
 _SHOWN = ("rate_limit", "delay", "quantum", "loss")
 
 
-class _Kinds(NamedTuple):
-    """The kinds of conditions by name, in their order, and why others are left out."""
-
-    kinds: dict[str, type[Condition]]
-    faults: tuple[str, ...]
-
-
 @cache
-def _kinds() -> _Kinds:
-    plugins = installed("conditions")
-    faults = {plugin.name: fault for plugin in plugins if (fault := fault_of_plugin(plugin))}
-    found = {plugin.name: plugin.value for plugin in plugins if plugin.name not in faults}
-    ordered = sorted(found, key=lambda name: (found[name].order, name))
-    told = tuple(f"condition {name}: {fault}" for name, fault in faults.items())
-    return _Kinds({name: found[name] for name in ordered}, told)
-
-
 def all_conditions() -> Mapping[str, type[Condition]]:
     """Return what actuators and sensors may do, by name, in the order of effects."""
-    return _kinds().kinds
+    found = {plugin.name: plugin.value for plugin in installed("conditions") if not _fault(plugin)}
+    return {name: found[name] for name in sorted(found, key=lambda name: (found[name].order, name))}
 
 
-def broken_conditions() -> tuple[str, ...]:
-    """Return why installed kinds of conditions are left out."""
-    return _kinds().faults
+def describe_condition(plugin: Plugin) -> tuple[str, bool]:
+    """Return one line about an installed kind of condition, or why it is broken; and whether it works."""
+    fault = _fault(plugin)
+    return (f"broken: {fault}", False) if fault else describe(plugin)
 
 
-def fault_of_plugin(plugin: Plugin) -> str:
+def _fault(plugin: Plugin) -> str:
     """Return why an installed object cannot be a kind of condition; empty if it can."""
     kind = plugin.value
     if plugin.error:

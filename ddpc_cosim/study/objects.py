@@ -15,7 +15,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_in_file, name_of
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import Drift, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS
@@ -50,6 +50,10 @@ class Scenario:
         Disturbances, signals of inputs that the controller does not drive, what actuators and sensors do.
     events : sequence of ParameterChange
         Tunable parameters that change during the run.
+    drifts : sequence of Drift
+        Tunable parameters that move linearly.
+    bounds : mapping of str to (float, float)
+        Limits in place of the problem's; infinite: none.
     preview : int, optional
         How many future references a controller may see; default: the problem's.
     """
@@ -59,6 +63,8 @@ class Scenario:
     noise: GaussianNoise | Mapping[str, float] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()
+    drifts: Sequence[Drift] = ()
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     preview: int | None = None
 
     def table(self) -> Table:
@@ -82,7 +88,9 @@ class Scenario:
             "label": self.label,
             "parameters": dict(self.parameters),
             "noise": dict(noise),
-            "events": [write(one) for one in self.events],
+            "events": [write(event) for event in self.events],
+            "drifts": [write(drift) for drift in self.drifts],
+            "bounds": {name: _limits(limits) for name, limits in self.bounds.items()},
             "disturbances": disturbances,
             "inputs": {name: signal_table(f"input {name}", one) for name, one in conditions.inputs.items()},
             "preview": self.preview,
@@ -138,8 +146,10 @@ class Problem:
         Start values of inputs, sizes that controllers scale by, and units to show, in place of the plant's.
     fmi_type : str
         How an FMU is run.
-    step_timeout : float, optional
-        Longest time for any call of the plant or of a controller [s].
+    step_timeout, case_timeout : float, optional
+        Longest time for any call of the plant or of a controller, and for a whole case [s].
+    memory_limit : float, optional
+        Memory that a case may have [GB].
     connections : sequence of Connection
         What the parts of a coupled plant exchange.
     coupling : mapping of str to float or str
@@ -179,6 +189,8 @@ class Problem:
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
     step_timeout: float | None = None
+    case_timeout: float | None = None
+    memory_limit: float | None = None
     connections: Sequence[Connection] = ()
     coupling: Mapping[str, Any] = field(default_factory=dict)
 
@@ -216,6 +228,8 @@ class Problem:
             "start": "recording-end" if self.continue_recording else None,
             "preview": self.preview,
             "step_timeout": self.step_timeout,
+            "case_timeout": self.case_timeout,
+            "memory_limit": self.memory_limit,
         }
         nominal = Scenario(noise=self.noise, conditions=self.conditions, events=self.events)
         scenarios = self.scenarios or {"nominal": nominal}

@@ -42,14 +42,16 @@ def list_(kind: Kind | None = argument(required=False), as_json: bool = JSON) ->
 
 
 def _entries(kind: str) -> Iterator[Entry]:
+    from ddpc_cosim.conditions import describe_condition
     from ddpc_cosim.metrics import METRICS, describe_metric
     from ddpc_cosim.plugins import describe, installed, package_version
 
+    described = {"metrics": describe_metric, "conditions": describe_condition}
     own = f"ddpc-cosim {package_version()}"
     for name, metric in METRICS.items() if kind == "metrics" else ():
         yield Entry(name=name, what=str(metric), package=own, target=_BUILT_IN, works=True)
     for plugin in installed(kind):
-        what, works = describe_metric(plugin) if kind == "metrics" else describe(plugin)
+        what, works = described.get(kind, describe)(plugin)
         yield Entry(name=plugin.name, what=what, package=plugin.package, target=plugin.target, works=works)
 
 

@@ -31,7 +31,13 @@ def signal_table(what: str, signal: Reference) -> Table:
     if type(signal) not in known.values():
         names = ", ".join(kind.__name__ for kind in known.values())
         raise ConfigError(f"{what}: a study cannot write {signal!r}; it can: {names}")
-    return write_in_short(signal)
+    return _signal(signal)
+
+
+def _signal(signal: Any) -> Table:
+    """Return a signal, or what excites an input, as a file in any folder says it."""
+    table = write_in_short(signal)
+    return table | {"file": str(Path(table["file"]).resolve())} if "file" in table else table
 
 
 def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
@@ -52,7 +58,7 @@ def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
         )
     return {
         "samples": samples.pop(),
-        "excitation": {name: write_in_short(entries[name][1]) for name in inputs},
+        "excitation": {name: _signal(entries[name][1]) for name in inputs},
     }
 
 

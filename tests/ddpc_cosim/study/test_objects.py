@@ -21,6 +21,7 @@ from ddpc_cosim import (
     ConfigError,
     Constant,
     Controller,
+    Drift,
     FloatArray,
     GaussianNoise,
     Interpolated,
@@ -37,6 +38,7 @@ from ddpc_cosim import (
     Sample,
     Scenario,
     SignalExcitation,
+    SignalFromFile,
     Sine,
     Steps,
     Study,
@@ -433,3 +435,33 @@ def test_plants_of_a_script(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0] == "[('lag', 'completed', ''), ('model', 'completed', '')]"
     assert (tmp_path / "report.html").stat().st_size > 100_000
+
+
+def test_python_says_what_a_file_can_of_a_scenario_and_of_signals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units, a column of a CSV file, drifts, limits of a scenario, and limits of a case."""
+    monkeypatch.chdir(tmp_path)
+    Path("wanted.csv").write_text("time [s],angle [deg]\n0,0\n0.5,20\n", encoding="utf-8")
+    drift = Drift(parameter="mass", start=1.0, stop=1.2, start_time=0.0, stop_time=0.5)
+    conditions = Conditions(
+        disturbances={"angle": Constant(2.0, unit="deg")}, backlash={"torque": 0.1}, quantum={"angle": 0.01}
+    )
+    scenario = Scenario(drifts=[drift], bounds={"torque": (-1.0, 1.0)}, conditions=conditions)
+    made = Study(
+        problem(
+            reference=SignalFromFile("wanted.csv"),
+            scenarios={"windy": scenario},
+            case_timeout=60.0,
+            memory_limit=1.0,
+        ),
+        {"PID": PID()},
+    )
+    one = read_study(str(made.write(tmp_path / "elsewhere" / "study.toml"))).problem
+    np.testing.assert_allclose(one.reference["angle"].at(np.array([0.2, 0.5])), [0.0, np.deg2rad(20.0)])
+    assert one.study.scenarios["windy"].drifts == [drift]
+    assert one.scenario_bounds["windy"] == {"torque": (-1.0, 1.0)}
+    assert one.conditions["windy"].effects == conditions.effects
+    (disturbance,) = one.conditions["windy"].disturbances["angle"]
+    np.testing.assert_allclose(disturbance.at(np.zeros(1)), np.deg2rad(2.0))
+    assert (one.study.loop.case_timeout, one.study.loop.memory_limit) == (60.0, 1.0)
