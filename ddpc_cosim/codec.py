@@ -299,7 +299,9 @@ def read(kind: type[T], table: Mapping[str, Any]) -> T:
         All that is wrong with its fields, each fault with its place.
     """
     errors = ValidationErrors()
-    value = _Reader(None, errors).section(kind, dict(table), ())
+    reader = _Reader(None, errors)
+    value = reader.section(kind, dict(table), ())
+    reader.complete()
     if errors.found:
         raise ConfigError(
             [
@@ -450,8 +452,18 @@ class _Reader:
                     self._errors.add((*place, key) if key else place, error)
             if is_doubtful:
                 for one in declared_fields(type(section)).values():
-                    if not (one.is_required or _has(section, one)):
+                    if not (one.is_required or _is_set(partial(one.of, section))):
                         one.put(section, one.default())
+        self.complete()
+
+    def complete(self) -> None:
+        """Have fields without a value that no file says, such as an excitation's samples, be None."""
+        for _, section, _ in self._read:
+            for declared in dataclasses.fields(section):
+                info = setting_of(declared)
+                is_said = info is None or info.key is not None
+                if not (is_said or _is_set(partial(getattr, section, declared.name))):
+                    object.__setattr__(section, declared.name, None)
 
     def _field(self, one: DeclaredField, value: Any, place: Place) -> tuple[Any, bool]:
         """Return what is sound of a field's value, and whether all of it is; what is not is reported."""
@@ -615,9 +627,9 @@ def _contradictions(section: Any) -> Iterator[tuple[str, str]]:
             yield from (("", fault) for fault in error.faults)
 
 
-def _has(section: Any, one: DeclaredField) -> bool:
+def _is_set(read: Callable[[], Any]) -> bool:
     try:
-        one.of(section)
+        read()
     except (AttributeError, InvalidFieldError):
         return False
     return True
