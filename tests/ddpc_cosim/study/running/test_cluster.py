@@ -290,8 +290,7 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
         return tried(self, case, reply, workers)
 
     monkeypatch.setattr(executor._Run, "_is_tried_again", counting)
-    seeds = "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]"
-    study = with_plant_in_a_file(write_study("mfapc", seeds=seeds, duration=20.0))
+    study = with_plant_in_a_file(write_study("mfapc", seeds='["0:36"]', duration=20.0))
     told = (
         f"worker {full}: 3 cases have failed there that others have run, .*cannot be written: File too large"
     )
@@ -301,7 +300,7 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
     finally:
         cluster.stop("full")
     assert len(caught) == 1
-    assert [case.outcome for case in results.cases] == ["completed"] * 12
+    assert [case.outcome for case in results.cases] == ["completed"] * 36
     at_a_time = 2 * (len(cluster.processes) - 1) + 2
     assert set(failed) == {full}
     assert 3 <= len(failed) < 3 + at_a_time
