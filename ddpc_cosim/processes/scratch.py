@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import uuid
 import weakref
 from contextlib import suppress
 from functools import cache
@@ -153,14 +154,31 @@ def _remove_folder(path: Path) -> None:
         for entry in path.iterdir():
             if entry.name != _LOCK:
                 remove(entry)
-    shutil.rmtree(path, ignore_errors=True)
+    remove(path)
 
 
 def remove(path: Path) -> None:
     """Remove a file, or a folder and all that is in it, if there is one and it can be removed."""
-    shutil.rmtree(path, ignore_errors=True)
+    with suppress(RecursionError):
+        shutil.rmtree(path, ignore_errors=True)
     with suppress(OSError):
         path.unlink()
+    with suppress(OSError):
+        if path.is_dir() and not path.is_symlink():  # folders within folders, deeper than one can go
+            _flatten(path)
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _flatten(folder: Path) -> None:
+    """Leave a folder without folders in its folders, and the files of those removed."""
+    while nested := [entry for entry in folder.iterdir() if entry.is_dir() and not entry.is_symlink()]:
+        for path in nested:
+            for entry in list(path.iterdir()):
+                if entry.is_dir() and not entry.is_symlink():
+                    entry.rename(folder / uuid.uuid4().hex)
+                else:
+                    entry.unlink()
+            path.rmdir()
 
 
 def list_shared_memory(path: Path) -> None:

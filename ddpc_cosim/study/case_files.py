@@ -1,5 +1,6 @@
 """The files of one case: written in one move and sealed, accepted from a worker, read to the last byte."""
 
+import errno
 import hashlib
 import json
 import math
@@ -7,9 +8,11 @@ import os
 import shutil
 import stat
 import warnings
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from itertools import islice
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -38,7 +41,7 @@ _SEAL = b',\n "sha256": "%s"\n}\n'
 
 LEFT_FOLDER = "left"
 """Where in a case's folder stands what it has left in its working directory, if that is kept."""
-_MOST_LEFT, _MOST_LOOKED_AT = 100, 20_000
+_MOST_LEFT, _MOST_LOOKED_AT, _DEEPEST_LEFT = 100, 20_000, 50
 DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
 _LONGEST_RUN = 1 << 26
@@ -341,26 +344,22 @@ def accept_case(
         raise _not_written(folder, error) from error
 
 
-def left_in(folder: Path) -> dict[str, int]:
+def left_in(work: Path) -> dict[str, int]:
     """Return the bytes of the files that a case has left in its working directory, by path there.
 
-    Links count as what they are and lead nowhere; beyond 100 files, the rest are one entry.
+    Links count as what they are and lead nowhere, and so do folders in 50 others; beyond 100 files, the rest
+    are one entry.
     """
-    found = dict[str, int]()
-    for place, _, names in os.walk(folder):
-        for name in names:
-            path = Path(place, name)
-            with suppress(OSError):
-                found[recorded(path.relative_to(folder).as_posix())] = path.lstat().st_size
-        if len(found) > _MOST_LOOKED_AT:
-            break
-    named = dict(sorted(found.items())[:_MOST_LEFT])
-    rest = len(found) - len(named)
-    return named | ({f"and {rest} more": sum(found.values()) - sum(named.values())} if rest else {})
+    sizes = {recorded(path): status.st_size for path, status in islice(_left(work), _MOST_LOOKED_AT)}
+    named = dict(sorted(sizes.items())[:_MOST_LEFT])
+    rest = len(sizes) - len(named)
+    return named | ({f"and {rest} more": sum(sizes.values()) - sum(named.values())} if rest else {})
 
 
 def keep_left(work: Path, folder: Path) -> None:
     """Keep what a case has left in its working directory beside its files: plain files, and no links.
+
+    What cannot be read, or have so long a path there, is only listed by :func:`left_in`.
 
     Raises
     ------
@@ -368,16 +367,36 @@ def keep_left(work: Path, folder: Path) -> None:
         It cannot be written, and why.
     """
     kept = folder / LEFT_FOLDER
-    try:
-        for place, _, names in os.walk(work):
-            for name in names:
-                path = Path(place, name)
-                if stat.S_ISREG(path.lstat().st_mode):
-                    target = kept / path.relative_to(work)
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path, target, follow_symlinks=False)
-    except OSError as error:
-        raise _not_written(kept, error) from error
+    for path, status in _left(work):
+        if not stat.S_ISREG(status.st_mode):
+            continue
+        try:
+            source = (work / path).open("rb")
+        except OSError:
+            continue
+        target = kept / path
+        try:
+            with source:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with target.open("wb") as file:
+                    shutil.copyfileobj(source, file)
+        except OSError as error:
+            if error.errno != errno.ENAMETOOLONG:
+                raise _not_written(kept, error) from error
+
+
+def _left(work: Path) -> Iterator[tuple[str, os.stat_result]]:
+    """Yield what lies in a working directory, by path there: no folders, but for those that are too deep."""
+    waiting = deque([("", 0)])
+    while waiting:
+        place, depth = waiting.popleft()
+        with suppress(OSError), os.scandir(work / place) as entries:
+            for entry in entries:
+                path, is_folder = f"{place}{entry.name}", entry.is_dir(follow_symlinks=False)
+                if is_folder and depth < _DEEPEST_LEFT:
+                    waiting.append((f"{path}/", depth + 1))
+                else:
+                    yield (f"{path}/" if is_folder else path), entry.stat(follow_symlinks=False)
 
 
 def _check_staged(staged: Path, longest: dict[str, int]) -> None:

@@ -739,7 +739,7 @@ class _Run:
             self._give_up(Outcome.TIMED_OUT, f"{reason}; raise loop.case_timeout if it needs longer")
         else:
             return False
-        if self._keep_files:
+        if self._keep_files and not self.may_be_a_bystander:
             keep_left(self._work, self._folder)
         self.close()
         return True

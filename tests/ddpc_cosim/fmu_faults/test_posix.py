@@ -282,6 +282,22 @@ input()
         assert locked == [True] * 20 + [False]
         assert list(scratch.iterdir()) == []
 
+    def test_folders_within_folders_beyond_what_python_can_go_through(self, scratch: Path) -> None:
+        """Left behind by a process that was killed, they are removed by the next, and do not stop it."""
+        folder, here = scratch / "ddpc-cosim-deep", Path.cwd()
+        folder.mkdir()
+        (folder / ".lock").touch()
+        os.chdir(folder)
+        try:
+            for depth in range(3000):
+                Path("d").mkdir()
+                os.chdir("d")
+                Path(f"file{depth}").touch()
+        finally:
+            os.chdir(here)
+        remove_left_behind(scratch)
+        assert list(scratch.iterdir()) == []
+
     def test_removed_once(self, scratch: Path) -> None:
         folder = ScratchFolder()
         folder.remove()
