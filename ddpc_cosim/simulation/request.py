@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.description import PlantDescription, choose_signals
@@ -222,7 +223,7 @@ def _subject(request: Request) -> _Subject:
         given = next(key for key, value in of_fmus.items() if value)
         raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
     named: dict[str, Any] = {what: request.plant}
-    section = PlantSection(**named, fmi_type=request.fmi_type)
+    section = read(PlantSection, named | {"fmi_type": request.fmi_type})
     spec = PlantSpec.of(section, Path.cwd()).built()
     label = path.name if is_file else request.plant
     return (_FMUSubject if spec.fmu else _Subject)(label, spec, spec.variables())

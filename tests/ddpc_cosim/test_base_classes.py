@@ -195,7 +195,7 @@ def test_a_study_is_told_of_a_recording_that_is_too_short_for_an_integer(tmp_pat
         ("maximum", 'did you mean "high"?'),
         ("one_of", 'did you mean "choices"?'),
         ("units", 'did you mean "unit"?'),
-        ("zzz", "there are: above, choices, default"),
+        ("zzz", "there are: above, below, choices, default"),
     ],
 )
 def test_an_unknown_keyword_of_a_setting_is_told_with_the_one_that_may_be_meant(
