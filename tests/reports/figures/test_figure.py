@@ -281,7 +281,7 @@ def test_what_a_scenario_does_is_marked_with_its_label_and_told_in_words(make_re
         "disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
         "input wind: steps: times [0, 2], values [1, 2] (values in m/s)",
         "Throughout: at 0 s: mass = 0.7; disturbance of torque: noise: standard deviation 0.1, mean 0",
-        "delay of torque 0.2 s; samples of angle lost with a probability of 0.05.",
+        "delay of torque 0.2\N{NO-BREAK SPACE}s; samples of angle lost with a probability of 0.05.",
     ):
         assert told in rough[0].caption
     assert marked(calm[0].views[0].spec) == (set(), set())
