@@ -73,7 +73,7 @@ def export_from_study(
     within = _chosen("scenario", scenario, study.scenarios)
     alone = replace(resolved, problems={one: resolved.problems[one]})
     with demanded(sandboxed):
-        plant = built_plants(alone, progress)[one]
+        plant = built_plants(alone.problems, progress)[one]
     single = _of_one_case(alone.problem, controller, within, study.seeds[0] if seed is None else seed)
     (case,) = cases_of(single, plant)
     if case.late:

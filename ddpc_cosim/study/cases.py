@@ -214,23 +214,42 @@ def cases_of_problems(
     only: str | Sequence[str] = (),
 ) -> list[Case]:
     """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
-
-    def cases(patterns: Sequence[str]) -> Iterator[Case]:
-        for problem, (resolved, plant) in problems.items():
-            yield from cases_of_problem(resolved, plant, problem, seeds, patterns)
-
+    selected = problems_with_cases({name: resolved for name, (resolved, _) in problems.items()}, seeds, only)
     patterns = patterns_of(only)
-    if lost := [pattern for pattern in patterns if next(cases([pattern]), None) is None]:
+    return [
+        case
+        for name, (resolved, plant) in problems.items()
+        if name in selected
+        for case in cases_of_problem(resolved, plant, name, seeds, patterns)
+    ]
+
+
+def problems_with_cases(
+    problems: Mapping[str, "ResolvedStudy"], seeds: Sequence[int] = (), only: str | Sequence[str] = ()
+) -> list[str]:
+    """Return the problems that have selected cases; parameters and errors as of :func:`cases_of`."""
+
+    def matching(pattern: str) -> set[str]:
+        return {
+            name
+            for name, resolved in problems.items()
+            if next(cases_of_problem(resolved, resolved.plant, name, seeds, [pattern]), None)
+        }
+
+    matches = {pattern: matching(pattern) for pattern in patterns_of(only)}
+    if lost := [pattern for pattern, names in matches.items() if not names]:
         known = {
             word
-            for problem, (resolved, _) in problems.items()
+            for problem, resolved in problems.items()
             for controller in resolved.study.controllers
             for scenario in resolved.study.scenarios
             for word in _words(resolved.study, problem, controller, scenario)
             if word
         }
-        raise ConfigError([f"--only {one}: no case matches; {did_you_mean(one, known)}" for one in lost])
-    return list(cases(patterns))
+        raise ConfigError(
+            [f"--only {pattern}: no case matches; {did_you_mean(pattern, known)}" for pattern in lost]
+        )
+    return [name for name in problems if not matches or any(name in names for names in matches.values())]
 
 
 def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:

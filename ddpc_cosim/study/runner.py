@@ -73,6 +73,7 @@ from ddpc_cosim.study.cases import (
     no_samples,
     partial_trace,
     patterns_of,
+    problems_with_cases,
     row_store,
     run_case,
 )
@@ -90,7 +91,7 @@ from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, 
 from ddpc_cosim.trace import Outcome
 
 if TYPE_CHECKING:
-    from ddpc_cosim.study.resolve import ResolvedProblems
+    from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 
 _POLL_SECONDS = 0.1
 _REPLY_SECONDS = 5.0
@@ -261,11 +262,10 @@ def run_study(
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
-    for name, one in resolved.problems.items():
-        own = facts_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
-        provenance |= {
-            provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
-        }
+    several = len(resolved.problems) > 1
+    for name, plant in plants.items():
+        own = facts_of_problem(of_problem.get(name, []), plant, resolved.problems[name].metrics.preview)
+        provenance |= {provenance_of(name, key) if several else key: fact for key, fact in own.items()}
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
     run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
@@ -290,7 +290,7 @@ def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: P
 def selected_cases(
     resolved: "ResolvedProblems", selection: Selection, progress: Progress
 ) -> tuple[dict[str, PlantSpec], list[Case]]:
-    """Return each problem's plant, ready to run, and the cases that are selected.
+    """Return the cases that are selected, and the plants of their problems, by name, ready to run.
 
     Raises
     ------
@@ -299,14 +299,17 @@ def selected_cases(
     MissingLibraryError
         None that is selected can run without a package that is not installed.
     """
-    with demanded(selection.sandboxed):
-        plants = built_plants(resolved, progress)
     # The only problem, whose name is the study's, is in no case's name.
     own = {one.study.variant_of or name for name, one in resolved.problems.items()} == {resolved.head.name}
-    problems = {
-        "" if own and not one.study.variant_of else name: (one, plants[name])
-        for name, one in resolved.problems.items()
+    in_cases = {
+        name: "" if own and not one.study.variant_of else name for name, one in resolved.problems.items()
     }
+    studies = {in_cases[name]: one for name, one in resolved.problems.items()}
+    selected = problems_with_cases(studies, selection.seeds, selection.only)
+    chosen = {name: one for name, one in resolved.problems.items() if in_cases[name] in selected}
+    with demanded(selection.sandboxed):
+        plants = built_plants(chosen, progress)
+    problems = {in_cases[name]: (one, plants[name]) for name, one in chosen.items()}
     cases = cases_of_problems(problems, selection.seeds, selection.only)
     lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in cases]
     if all(lacking):
@@ -369,12 +372,12 @@ def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
         )
 
 
-def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
+def built_plants(problems: Mapping[str, "ResolvedStudy"], progress: Progress) -> dict[str, PlantSpec]:
     """Return each problem's plant, by name, ready to run; one that several problems have is built once."""
-    _compile_ahead((Path(path) for one in resolved.problems.values() for path in one.plant.files), progress)
+    _compile_ahead((Path(path) for one in problems.values() for path in one.plant.files), progress)
     built = list[tuple[PlantSpec, PlantSpec]]()
     plants = {}
-    for name, one in resolved.problems.items():
+    for name, one in problems.items():
         ready = next((ready for spec, ready in built if spec == one.plant), None)
         if ready is None:
             ready = one.plant.built()

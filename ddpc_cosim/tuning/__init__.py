@@ -201,7 +201,7 @@ def tune_study(
     request = request.on_seeds_of_its_own(resolved.head.seeds)
     searches, kept = _searches(resolved, request)
     with demanded(selection.sandboxed):
-        plants = built_plants(resolved, progress)
+        plants = built_plants(resolved.problems, progress)
     if request.compares:
         claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     patterns = patterns_of(selection.only)

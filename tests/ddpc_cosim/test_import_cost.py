@@ -134,8 +134,11 @@ def test_writing_and_reading_parquet(tmp_path: Path) -> None:
 FMU_RUNTIME = {"ddpc_cosim.fmu.plant", "ddpc_cosim.fmu.session", "ddpc_cosim.fmu.instance", "fmpy"}
 
 
-def test_a_study_of_equations_is_read_without_anything_of_fmus(tmp_path: Path) -> None:
-    loaded = modules_after("from ddpc_cosim.study.reading import read_study\nread_study('paper')", tmp_path)
+@pytest.mark.parametrize("study", ["paper", "benchmark"])
+def test_a_study_of_equations_is_read_without_anything_of_fmus(tmp_path: Path, study: str) -> None:
+    loaded = modules_after(
+        f"from ddpc_cosim.study.reading import read_study\nread_study('{study}')", tmp_path
+    )
     assert not [module for module in loaded if module.startswith(("ddpc_cosim.fmu.", "fmpy"))]
 
 

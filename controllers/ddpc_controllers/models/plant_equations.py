@@ -19,7 +19,6 @@ from ddpc_cosim import (
     ConfigError,
     FloatArray,
     FMUImportError,
-    FMUPlant,
     Loop,
     MissingLibraryError,
     Variable,
@@ -73,6 +72,8 @@ def find_model(model: str, fmu: str) -> Any:
 
 
 def _model_name(fmu: str) -> str:
+    from ddpc_cosim import FMUPlant  # what runs FMUs, which reading a study does not need
+
     try:
         with (
             catch_warnings(action="ignore"),

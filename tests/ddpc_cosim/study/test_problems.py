@@ -10,6 +10,7 @@ import tomli_w
 
 from ddpc_cosim import ConfigError, StudyResults
 from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
@@ -288,6 +289,32 @@ def test_a_pattern_chooses_by_names_and_labels(tmp_path: Path, only: str, count:
     else:
         with pytest.raises(ConfigError, match="--only no: no case matches; "):
             run(tmp_path, TWO, only)
+
+
+@pytest.mark.parametrize(
+    ("only", "plants"),
+    [
+        ("pendulum", ["pendulum"]),
+        ("PID", ["van-der-pol"]),
+        ("noisy", ["van-der-pol"]),
+        ("*_seed2", ["pendulum", "van-der-pol"]),
+    ],
+)
+def test_a_plant_of_which_no_case_is_left_is_not_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only: str, plants: list[str]
+) -> None:
+    built, build = list[str](), PlantSpec.built
+
+    def noted(plant: PlantSpec) -> PlantSpec:
+        built.append(plant.name)
+        return build(plant)
+
+    monkeypatch.setattr(PlantSpec, "built", noted)
+    results = run(tmp_path, TWO, only)
+    assert built == plants
+    assert {case.problem for case in results.cases} == {
+        {"pendulum": "pendulum", "van-der-pol": "oscillator"}[plant] for plant in plants
+    }
 
 
 def test_a_flat_file_is_a_study_of_one_problem_that_has_its_name(tmp_path: Path) -> None:
