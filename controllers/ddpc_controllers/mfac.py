@@ -277,7 +277,7 @@ class MFAC(ModelFreeAdaptive):
         self, other: type[Controller], inputs: int, outputs: int, samples: int
     ) -> Mapping[str, Any] | None:
         """Return the settings with which MFAPC does the same: only whole steps are what it takes."""
-        if not issubclass(other, MFAPC) or self.step_factor < 1.0:
+        if type(self) is not MFAC or other is not MFAPC or self.step_factor < 1.0:
             return None
         shared = {field.name: getattr(self, field.name) for field in fields(ModelFreeAdaptive)}
         return shared | {"horizon": 1, "control_horizon": 0, "limits": "clip"}

@@ -59,16 +59,18 @@ class SPC(BehavioralTracking):
     def settings_as(
         self, other: type[Controller], inputs: int, outputs: int, samples: int
     ) -> Mapping[str, Any] | None:
-        """Return the settings with which gamma-DDPC and DeePC do the same."""
+        """Return the settings with which gamma-DDPC and DeePC do the same; what is derived may do another."""
+        if type(self) not in (SPC, GammaDDPC):
+            return None
         shared = {field.name: getattr(self, field.name) for field in fields(BehavioralTracking)}
         windows = samples - self._layout.depth + 1
         heavy = _INFINITE * float(np.max(np.abs(self.output_weight)))
         beta_2, beta_3 = self._betas()
-        if issubclass(other, GammaDDPC):
+        if other is GammaDDPC:
             return shared | {"beta_2": beta_2, "beta_3": min(beta_3, heavy / max(windows, 1))}
         # DeePC has no price on gamma_2, nor a preference among setpoints alike in cost.
         alike = self.artificial_setpoint and inputs > outputs
-        if issubclass(other, DeePC) and not beta_2 and not alike:
+        if other is DeePC and not beta_2 and not alike:
             own = {"regulariser": "projection", "slack": False, "affine_sum": "none"}
             return shared | own | {"lambda_g": min(windows * beta_3, heavy)}
         return None

@@ -7,7 +7,7 @@ import numpy as np
 import piqp
 import pytest
 
-from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
+from ddpc_controllers import MFAC, MFAPC, SPC, DeePC, GammaDDPC, hankel_matrix
 from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
 
 from .loops import (
@@ -292,3 +292,12 @@ def test_what_no_settings_bring_about_is_not_told() -> None:
     assert spc.settings_as(DeePC, 2, 1, 100) is None  # among many setpoints SPC has a preference
     assert gamma.settings_as(DeePC, 1, 1, 100) is None
     assert gamma.settings_as(SPC, 1, 1, 100) is None
+
+
+@pytest.mark.parametrize(("kind", "other"), [(SPC, GammaDDPC), (SPC, DeePC), (MFAC, MFAPC)])
+def test_a_class_that_is_derived_may_do_something_else(
+    kind: type[Controller], other: type[Controller]
+) -> None:
+    assert kind().settings_as(other, 1, 1, 100) is not None
+    assert type("Derived", (kind,), {})().settings_as(other, 1, 1, 100) is None
+    assert kind().settings_as(type("Derived", (other,), {}), 1, 1, 100) is None
