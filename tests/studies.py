@@ -12,7 +12,7 @@ from ddpc_cosim.study.reading import read_study
 
 Table = Mapping[str, Any]
 
-PENDULUM: Table = {"name": "pendulum", "inputs": ["torque"], "outputs": ["angle"]}
+PENDULUM: dict[str, Any] = {"name": "pendulum", "inputs": ["torque"], "outputs": ["angle"]}
 
 
 def study_text(
@@ -30,20 +30,20 @@ def study_text(
     if not isinstance(controllers, Mapping):
         controllers = {kind.rpartition(":")[2].lower(): kind for kind in controllers}
     references = {
-        name: {"kind": "constant", "value": signal} if isinstance(signal, float) else signal
+        name: signal if isinstance(signal, Mapping) else {"kind": "constant", "value": signal}
         for name, signal in reference.items()
     }
     sections = {
-        name: {"type": section} if isinstance(section, str) else section
+        name: section if isinstance(section, Mapping) else {"type": section}
         for name, section in controllers.items()
     }
     tables = {"plant": plant, "loop": {"sampling_time": 0.1, "duration": 1.0} | loop}
     return tomli_w.dumps(others | tables | {"reference": references, "controllers": sections})
 
 
-def write(folder: Path, text: str) -> Path:
-    """Write ``study.toml``."""
-    path = folder / "study.toml"
+def write(folder: Path, text: str, name: str = "study.toml") -> Path:
+    """Write a study file."""
+    path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -53,7 +53,7 @@ def run_file(study: str | Path, out: str | Path = "out", **options: Any) -> Stud
     return Study.read(study).run(Path(study).parent / out, **{"progress": False} | options)
 
 
-def cases_in(study: Path) -> list[Case]:
+def cases_in(study: str | Path) -> list[Case]:
     """Return the cases of a study of one problem, ready to run."""
     resolved = read_study(str(study)).problem
     return cases_of(resolved, resolved.plant.built())

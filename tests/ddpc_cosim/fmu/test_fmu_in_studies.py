@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from fmus.builder import LAG, describe, model_fmu, model_library, write_fmu
-from studies import study_text, write
+from studies import run_file, study_text, write
 
 from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study
 from fmu_plants.export.compiler import find_compiler
 
@@ -33,9 +32,7 @@ def test_a_study_runs_on_an_fmu_of_any_version(tmp_path: Path, version: str) -> 
     settings = {"interfaces": "CoSimulation"} if version == "1.0" else {}
     fmu = model_fmu(tmp_path, version, "lag", **settings)
     study = write_study(tmp_path, fmu, parameters={"rate": 2, "x": 0.25, "name": "abc"})
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    (case,) = run_file(study).cases
     assert case.trace().y[0] == 0.25
     assert case.trace().provenance["fmi_version"] == f"{version} Co-Simulation"
 
@@ -43,9 +40,7 @@ def test_a_study_runs_on_an_fmu_of_any_version(tmp_path: Path, version: str) -> 
 def test_model_exchange_is_chosen_by_a_study(tmp_path: Path) -> None:
     fmu = model_fmu(tmp_path, "2.0", "lag")
     study = write_study(tmp_path, fmu, fmi_type="model-exchange")
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    (case,) = run_file(study).cases
     assert case.trace().provenance["fmi_version"] == "2.0 Model Exchange"
 
 
@@ -57,9 +52,7 @@ def test_a_display_unit_reaches_the_results(tmp_path: Path) -> None:
     text = text.replace('initial="exact"><Real start="0"/>', 'initial="exact"><Real start="0" unit="rad"/>')
     fmu = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
     study = write_study(tmp_path, fmu, display_units={"x": "deg"})
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    (case,) = run_file(study).cases
     (x,) = case.trace().outputs
     assert (x.unit, x.shown_in.name) == ("rad", "deg")
     assert "[deg" in (tmp_path / "out" / "metrics.csv").read_text(encoding="utf-8").splitlines()[0]
