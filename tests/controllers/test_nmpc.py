@@ -1,6 +1,5 @@
 """Nonlinear MPC on the plant's equations: its optimum, its observer, its fallbacks; and idle."""
 
-import io
 import subprocess
 import sys
 import zipfile
@@ -13,6 +12,7 @@ import pytest
 import sympy
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from studies import run_file, study_text, write
 
 from ddpc_controllers import NMPC, Idle
 from ddpc_controllers.models.plant_equations import PlantEquations, find_model
@@ -28,11 +28,8 @@ from ddpc_cosim import (
     Variable,
     cosimulate,
 )
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import CaseResult
-from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import build_fmu
 from fmu_plants.equations import resolve
 
@@ -302,46 +299,42 @@ MODEL = PlantModel(
     equations=lambda v: Equations({{"x": v.u - v.x}}),
 )
 """
-LAG_STUDY = """
-plant = {{ name = "{plant}" }}
-loop = {{ sampling_time = 0.1, duration = 1.0 }}
-reference.x = {{ kind = "constant", value = 1.0 }}
-bounds.u = {{ min = -5.0, max = 5.0 }}
-controllers.nmpc = {{ type = "nmpc", settings = {{ horizon = 5{model} }} }}
-"""
 
 
-def run_lag(folder: Path, plant: str, model: str = "") -> CaseResult:
+def run_lag(folder: Path, plant: str, **model: str) -> CaseResult:
     for name in ("lag_of_a_module", "lag_of_a_file"):
         (folder / f"{name}.py").write_text(LAG.format(name=name), encoding="utf-8")
-    text = LAG_STUDY.format(plant=plant, model=f', model = "{model}"' if model else "")
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    study = read_study(str(folder / "study.toml"))
-    (case,) = run_study(study, folder / "out", Selection(), LineProgress(io.StringIO())).cases
+    text = study_text(
+        plant={"name": plant},
+        reference={"x": 1.0},
+        controllers={"nmpc": {"type": "nmpc", "settings": {"horizon": 5} | model}},
+        bounds={"u": {"min": -5.0, "max": 5.0}},
+    )
+    (case,) = run_file(write(folder, text)).cases
     return case
 
 
 @pytest.mark.parametrize(
     ("plant", "model"),
     [
-        ("lag_of_a_module:MODEL", ""),
-        ("lag_of_a_file.py:MODEL", ""),
-        ("lag_of_a_file.py:MODEL", "lag_of_a_module:MODEL"),
-        ("lag_of_a_module:MODEL", "lag_of_a_file.py:MODEL"),
+        ("lag_of_a_module:MODEL", {}),
+        ("lag_of_a_file.py:MODEL", {}),
+        ("lag_of_a_file.py:MODEL", {"model": "lag_of_a_module:MODEL"}),
+        ("lag_of_a_module:MODEL", {"model": "lag_of_a_file.py:MODEL"}),
     ],
 )
 def test_a_plant_that_the_study_names_is_found_installed_or_not(
-    tmp_path: Path, plant: str, model: str
+    tmp_path: Path, plant: str, model: dict[str, str]
 ) -> None:
-    case = run_lag(tmp_path, plant, model)
+    case = run_lag(tmp_path, plant, **model)
     assert case.outcome == "completed", case.reason
     assert abs(case.trace().y[-1, 0] - 1.0) < 1e-2
 
 
 def test_the_equations_that_it_is_given_decide_the_id_of_its_cases(tmp_path: Path) -> None:
-    first = run_lag(tmp_path, "lag_of_a_file.py:MODEL", "lag_of_a_module:MODEL")
+    first = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="lag_of_a_module:MODEL")
     (tmp_path / "other.py").write_text(LAG.format(name="other").replace("- v.x", "- 2 * v.x"))
-    other = run_lag(tmp_path, "lag_of_a_file.py:MODEL", "other.py:MODEL")
+    other = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="other.py:MODEL")
     (tmp_path / "other.py").write_text(LAG.format(name="other").replace("- v.x", "- 3 * v.x"))
-    changed = run_lag(tmp_path, "lag_of_a_file.py:MODEL", "other.py:MODEL")
+    changed = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="other.py:MODEL")
     assert len({one.id for one in (first, other, changed)}) == 3

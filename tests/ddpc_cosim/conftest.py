@@ -3,11 +3,14 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import pytest
+import studies
 from fmus.builder import CO_SIMULATION, GAINED, IDENTIFIER, Fault, describe, model_library, write_archive
 from fmus.plants import model_fmu, mutate, pendulum_fmi3
+from studies import study_text
 
 __all__ = ["model_fmu", "mutate", "pendulum_fmi3"]  # fixtures
 
@@ -59,30 +62,14 @@ WriteStudy = Callable[..., Path]
 
 @pytest.fixture
 def write_study(tmp_path: Path, make_fmu: MakeFMU) -> WriteStudy:
-    """Write ``study.toml`` beside an FMU: one second of an integrator under the given controllers."""
+    """Write ``study.toml`` beside an FMU: one second of an integrator under the given controllers.
 
-    def write(
-        *controllers: str, seeds: str = "[0]", duration: float = 1.0, fault: Fault = Fault.NO_FAULT
-    ) -> Path:
-        fmu = make_fmu(fault)
-        sections = "".join(
-            f'[controllers.{name.rpartition(":")[2].lower()}]\ntype = "{name}"\n' for name in controllers
-        )
-        path = tmp_path / "study.toml"
-        path.write_text(
-            f"""
-seeds = {seeds}
-[plant]
-fmu = "{fmu.name}"
-outputs = ["y"]
-[loop]
-sampling_time = 0.1
-duration = {duration}
-[reference]
-y = {{ kind = "constant", value = 1.0 }}
-{sections}""",
-            encoding="utf-8",
-        )
-        return path
+    Further tables stand in place of or beside those that it has.
+    """
+
+    def write(*controllers: str, seeds: str = "[0]", fault: Fault = Fault.NO_FAULT, **tables: Any) -> Path:
+        given = {"plant": {"fmu": make_fmu(fault).name, "outputs": ["y"]}, "reference": {"y": 1.0}}
+        text = study_text(**given | {"controllers": controllers} | tables)
+        return studies.write(tmp_path, f"seeds = {seeds}\n{text}")
 
     return write

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from studies import write
 
 from ddpc_controllers import SPC
 from ddpc_controllers.deepc import BehavioralTracking
@@ -104,9 +105,7 @@ def forgotten() -> Iterator[None]:
 
 
 def test_a_controller_and_a_plant_in_a_study(tmp_path: Path) -> None:
-    path = tmp_path / "life.toml"
-    path.write_text(STUDY, encoding="utf-8")
-    resolved = read_study(str(path)).problem
+    resolved = read_study(str(write(tmp_path, STUDY))).problem
     assert set(Proportional.calls) == {"settings", "uses_recording", "horizon", "recording_length"}
     (case,) = cases_of(resolved, resolved.plant.built())
     Proportional.calls.clear()

@@ -4,9 +4,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import (
     Action,
@@ -29,9 +31,7 @@ from ddpc_cosim import (
     setting,
 )
 from ddpc_cosim.study.case_files import read_run
-from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 
 EXCITATION = UniformRandom(-0.1, 0.1, samples=45, seed=3)
 
@@ -258,34 +258,22 @@ def test_a_stabiliser_without_an_excitation_is_refused() -> None:
         )
 
 
-STUDY = """
-plant.name = "pendulum"
-plant.outputs = ["angle"]
-loop = { sampling_time = 0.1, duration = 2.0 }
-reference.angle = { kind = "constant", value = 0.2 }
-bounds.torque = { min = -3.5, max = 3.5 }
-controllers.deepc.type = "deepc"
-
-[recording]
-samples = 80
-excitation.torque = { low = -1.0, high = 1.0 }
-controller = { type = "mfapc", settings = { lambda_u = 0.5 } }
-"""
-
-
-class Silent:
-    """Progress that nobody sees."""
-
-    def prepare(self, what: str) -> None: ...
-    def start(self, total: int, kept: int) -> None: ...
-    def update(self, update: object) -> None: ...
-    def finished(self, case: object, result: object) -> None: ...
+def write_about(folder: Path, stabiliser: dict[str, Any]) -> Path:
+    """Write a study whose experiment is about a stabilising controller."""
+    excitation = {"torque": {"low": -1.0, "high": 1.0}}
+    text = study_text(
+        reference={"angle": 0.2},
+        controllers=["deepc"],
+        loop={"duration": 2.0},
+        bounds={"torque": {"min": -3.5, "max": 3.5}},
+        recording={"samples": 80, "excitation": excitation, "controller": stabiliser},
+    )
+    return write(folder, text)
 
 
 def test_a_study_records_about_its_stabiliser(tmp_path: Path) -> None:
-    (tmp_path / "about.toml").write_text(STUDY, encoding="utf-8")
-    results = run_study(read_study(str(tmp_path / "about.toml")), tmp_path / "out", Selection(), Silent())
-    (case,) = results.cases
+    study = write_about(tmp_path, {"type": "mfapc", "settings": {"lambda_u": 0.5}})
+    (case,) = run_file(study).cases
     assert case.outcome == "completed"
     assert read_run(case.folder)["diagnostics"]["stabiliser_fallbacks"] == 0.0
     # The resolved study has every default of the stabiliser too, and can be run again.
@@ -298,33 +286,30 @@ def test_a_study_records_about_its_stabiliser(tmp_path: Path) -> None:
 
 def test_other_settings_of_the_stabiliser_are_another_case(tmp_path: Path) -> None:
     ids = set()
-    for weight in ("0.5", "0.6"):
-        path = tmp_path / "about.toml"
-        path.write_text(STUDY.replace("lambda_u = 0.5", f"lambda_u = {weight}"), encoding="utf-8")
-        checked = read_study(str(path)).problem
-        ids |= {case.id for case in cases_of(checked, checked.plant.built())}
+    for weight in (0.5, 0.6):
+        study = write_about(tmp_path, {"type": "mfapc", "settings": {"lambda_u": weight}})
+        ids |= {case.id for case in cases_in(study)}
     assert len(ids) == 2
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("stabiliser", "message"),
     [
         (
-            '{ type = "mfapc", settings = { eta = 7.0 } }',
+            {"type": "mfapc", "settings": {"eta": 7.0}},
             "recording.controller.settings.eta: 7.0 is not possible",
         ),
         (
-            '{ type = "mfapc", settings = { etta = 1.0 } }',
+            {"type": "mfapc", "settings": {"etta": 1.0}},
             "recording.controller.settings.etta: unknown setting",
         ),
-        ('{ type = "mfapcc" }', "recording.controller.type: .*mfapc"),
-        ('{ type = "deepc" }', "recording.controller: learns from a recording itself"),
+        ({"type": "mfapcc"}, "recording.controller.type: .*mfapc"),
+        ({"type": "deepc"}, "recording.controller: learns from a recording itself"),
     ],
 )
 def test_faults_of_the_stabiliser_are_told_with_their_key(
-    tmp_path: Path, settings: str, message: str
+    tmp_path: Path, stabiliser: dict[str, Any], message: str
 ) -> None:
-    text = STUDY.replace('{ type = "mfapc", settings = { lambda_u = 0.5 } }', settings)
-    (tmp_path / "about.toml").write_text(text, encoding="utf-8")
+    study = write_about(tmp_path, stabiliser)
     with pytest.raises(ConfigError, match=message):
-        read_study(str(tmp_path / "about.toml"))
+        read_study(str(study))

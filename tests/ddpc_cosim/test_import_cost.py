@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from studies import study_text, write
 
 from ddpc_cosim.cli.main import main
 
@@ -29,20 +30,6 @@ class SnoopingMFAPC(Snooper, MFAPC): pass
 class SnoopingDeePC(Snooper, DeePC): pass
 class SnoopingWKPC(Snooper, WKPC): pass
 class SnoopingMPC(Snooper, MPC): pass
-"""
-
-
-STUDY = """
-[plant]
-fmu = "{fmu}"
-outputs = ["angle"]
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-angle = {{ kind = "constant", value = 0.1 }}
-[controllers.mfapc]
-type = "mfapc"
 """
 
 
@@ -143,7 +130,7 @@ def test_a_study_of_equations_is_read_without_anything_of_fmus(tmp_path: Path, s
 
 
 def test_a_study_of_an_fmu_is_read_without_the_fmu_runtime(tmp_path: Path, pendulum_fmu: Path) -> None:
-    (tmp_path / "study.toml").write_text(STUDY.format(fmu=pendulum_fmu.as_posix()), encoding="utf-8")
+    write(tmp_path, study_text(plant={"fmu": str(pendulum_fmu), "outputs": ["angle"]}))
     code = "from ddpc_cosim.study.reading import read_study\nread_study('study.toml')"
     loaded = modules_after(code, tmp_path)
     assert "ddpc_cosim.fmu.description.reader" in loaded
@@ -171,7 +158,7 @@ def test_a_proposal(tmp_path: Path, pendulum_fmu: Path) -> None:
 def test_a_command_that_runs_cases_leaves_computing_to_its_workers(
     tmp_path: Path, pendulum_fmu: Path
 ) -> None:
-    (tmp_path / "study.toml").write_text(STUDY.format(fmu=pendulum_fmu.as_posix()), encoding="utf-8")
+    write(tmp_path, study_text(plant={"fmu": str(pendulum_fmu), "outputs": ["angle"]}))
     code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
     command = ["run", "study.toml", "--out", "runs", "--jobs", "1", "--no-report"]
     code += f"with contextlib.suppress(SystemExit): main({command})"

@@ -8,6 +8,7 @@ from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import pytest
+from studies import study_text, write
 
 from ddpc_cosim import CosimError, load_results
 from ddpc_cosim.processes.rows import RowStore, info_path
@@ -189,9 +190,7 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
     (tmp_path / "meddling.py").write_text(MEDDLING, encoding="utf-8")
-    study = write_study(*(f"meddling:{name}" for name in ENDINGS), "mfapc")
-    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
-    study.write_text(text, encoding="utf-8")
+    write_study(*(f"meddling:{name}" for name in ENDINGS), "mfapc", loop={"step_timeout": 2.0})
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
     assert len(done.stdout + done.stderr) < 20_000
@@ -334,16 +333,14 @@ class Remembers(Controller):
 def test_no_case_finds_what_another_one_has_left(tmp_path: Path, run_program: Run) -> None:
     """Its result is the same whichever ran before it, and how many at a time."""
     (tmp_path / "remembering.py").write_text(REMEMBERING, encoding="utf-8")
-    (tmp_path / "study.toml").write_text(
-        """
-seeds = [0, 1]
-plant = { name = "remembering:Integrator" }
-loop = { sampling_time = 0.1, duration = 0.3 }
-reference.y = { kind = "constant", value = 1.0 }
-controllers.it = { type = "remembering:Remembers" }
-""",
-        encoding="utf-8",
+    text = study_text(
+        seeds=[0, 1],
+        plant={"name": "remembering:Integrator"},
+        reference={"y": 1.0},
+        controllers=["remembering:Remembers"],
+        loop={"duration": 0.3},
     )
+    write(tmp_path, text)
     run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     first, second = load_results(tmp_path / "out").cases
     assert (first.outcome, second.outcome) == ("completed", "completed"), second.reason
@@ -372,9 +369,7 @@ def test_a_worker_that_takes_too_much_is_ended_with_all_that_it_has_started(
 ) -> None:
     """Daemons included."""
     (tmp_path / "meddling.py").write_text(MEDDLING, encoding="utf-8")
-    study = write_study(*(f"meddling:{name}" for name in LIMITED), "mfapc")
-    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nmemory_limit = 1.0")
-    study.write_text(text, encoding="utf-8")
+    write_study(*(f"meddling:{name}" for name in LIMITED), "mfapc", loop={"memory_limit": 1.0})
     mark = str(tmp_path / "marked")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out", MARK=mark)
     cases = load_results(tmp_path / "out").cases

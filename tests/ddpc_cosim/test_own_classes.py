@@ -6,21 +6,18 @@ import sys
 from pathlib import Path
 
 import pytest
+from studies import study_text, write
 
 from ddpc_controllers import DeePC
 from ddpc_cosim import Controller
 from ddpc_cosim.plugins import code_version, name_of
 
 SCRIPT = """
-import io, json
+import json
 from dataclasses import dataclass
-from pathlib import Path
 import numpy as np
-from ddpc_cosim import Controller, Plant, Reference, Variable, setting
-from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim import Controller, Plant, Study, Variable, setting
 from ddpc_cosim.plugins import name_of
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 
 GAIN = 2.0
 TABLE = np.linspace(0.0, 1.0, 5000)
@@ -48,21 +45,20 @@ class Lag(Plant):
 if __name__ == "__main__":
     assert name_of("controllers", Proportional) == "__main__:Proportional"
     assert name_of("plants", Lag) == "__main__:Lag"
-    progress = LineProgress(io.StringIO())
-    results = run_study(read_study("study.toml"), Path("runs"), Selection(jobs=2), progress)
+    results = Study.read("study.toml").run("runs", jobs=2, progress=False)
     found = [[case.id, case.outcome, case.reason, case.trace().y[:, 0].tolist()] for case in results.cases]
     print(json.dumps(found))
 """
-STUDY = """
-plant = { name = "__main__:Lag" }
-loop = { sampling_time = 0.1, duration = 0.3 }
-reference.x = { kind = "constant", value = 1.0 }
-controllers.p = { type = "__main__:Proportional", settings = { factor = 1.5 } }
-"""
+STUDY = study_text(
+    plant={"name": "__main__:Lag"},
+    reference={"x": 1.0},
+    controllers={"p": {"type": "__main__:Proportional", "settings": {"factor": 1.5}}},
+    loop={"duration": 0.3},
+)
 
 
 def run_script(folder: Path, script: str) -> list[list[object]]:
-    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    write(folder, STUDY)
     (folder / "script.py").write_text(script, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, timeout=300
@@ -80,7 +76,7 @@ def test_classes_of_a_script_run_in_workers(tmp_path: Path) -> None:
     assert (outcome, reason) == ("completed", "")
     assert y == pytest.approx(expected, rel=1e-12)
     # Blank lines and code that they do not use are not theirs; what they use, functions and values, is.
-    ((same, *_),) = run_script(tmp_path, SCRIPT.replace("import io", "\n\nUNUSED = 3\nimport io"))
+    ((same, *_),) = run_script(tmp_path, SCRIPT.replace("import json", "\n\nUNUSED = 3\nimport json"))
     assert same == first
     for change in (
         ("GAIN = 2.0", "GAIN = 2.5"),

@@ -1,6 +1,5 @@
 """Paths on Windows: what this project composes is short; what is too long is said before the first case."""
 
-import io
 import re
 import tempfile
 import zipfile
@@ -9,9 +8,9 @@ from pathlib import Path, PureWindowsPath
 
 import pytest
 from hypothesis import given, strategies as st
+from studies import run_file
 
-from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, StudyResults
-from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim import ConfigError, FMUImportError, FMUPlant
 from ddpc_cosim.fmu import archive
 from ddpc_cosim.path_lengths import longest_excess
 from ddpc_cosim.processes.scratch import scratch_of_cases
@@ -19,7 +18,6 @@ from ddpc_cosim.study import runner
 from ddpc_cosim.study.case_files import longest_files
 from ddpc_cosim.study.cases import cases_of_problems, doing_nothing
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 
 WriteStudy = Callable[..., Path]
 
@@ -100,14 +98,10 @@ class Tells(Controller):
 """
 
 
-def run(path: Path, out: Path) -> StudyResults:
-    return run_study(read_study(str(path)), out, Selection(1), LineProgress(io.StringIO()))
-
-
 def test_files_of_a_run_are_no_longer_than_was_foreseen(write_study: WriteStudy, tmp_path: Path) -> None:
     path = write_study("telling:Tells")
     (tmp_path / "telling.py").write_text(TELLING, encoding="utf-8")
-    results = run(path, tmp_path / "out")
+    results = run_file(path)
     (case,) = results.cases
     assert case.trace().info["temporary"].tolist() == 11 * [len(str(scratch_of_cases().parent))]
     cases = results.folder / "cases"
@@ -124,15 +118,15 @@ def test_a_folder_of_results_that_is_too_long_is_refused_before_the_first_case(
     path, above = write_study("mfapc"), tmp_path / "above"
     above.mkdir()
     with pytest.raises(ConfigError, match=TOO_LONG) as told:
-        run(path, above / (150 * "o"))
+        run_file(path, above / (150 * "o"))
     assert not [*above.rglob("cases")]
     assert "give a folder whose path is that much shorter (--out), or allow long paths" in str(told.value)
     found = re.search(TOO_LONG, str(told.value))
     assert found
     room = 150 - int(found[1])
     with pytest.raises(ConfigError, match=" 1 characters longer"):
-        run(path, above / ((room + 1) * "o"))
-    assert len(run(path, above / (room * "o")).cases) == 1
+        run_file(path, above / ((room + 1) * "o"))
+    assert len(run_file(path, above / (room * "o")).cases) == 1
 
 
 def test_an_fmu_that_a_case_cannot_unpack_is_refused_before_the_first_case(

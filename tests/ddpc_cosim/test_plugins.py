@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from studies import cases_in, study_text, write
 
 from ddpc_cosim import ConfigError, PluginError
 from ddpc_cosim.cli.main import main
@@ -18,7 +19,7 @@ from ddpc_cosim.plugins import (
     source_hash,
     types_in,
 )
-from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
 
 MODULE = '''
@@ -53,19 +54,12 @@ class Refusing(Lag):
 study = __file__.replace("thirdparty.py", "lag.toml")
 '''
 
-STUDY = """
-title = "A lag [of first order]"
-[plant]
-name = "lag"
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-y = { kind = "constant", value = 1.0 }
-[controllers.p]
-type = "proportional"
-settings = { gain = 2.0 }
-"""
+STUDY = study_text(
+    title="A lag [of first order]",
+    plant={"name": "lag"},
+    reference={"y": 1.0},
+    controllers={"p": {"type": "proportional", "settings": {"gain": 2.0}}},
+)
 
 ENTRY_POINTS = """
 [ddpc_cosim.plants]
@@ -302,19 +296,6 @@ FILES = {
     "notes.txt": "",
 }
 
-LAG_STUDY = """
-[plant]
-name = "lag:Lag"
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-y = {{ kind = "constant", value = 1.0 }}
-[controllers.p]
-type = "lag:Proportional"
-settings = {{ gain = {{ type = "{gain}" }} }}
-"""
-
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -336,10 +317,9 @@ def forget_versions() -> None:
 def only_case(folder: Path, gain: str = "lag:Gain") -> Case:
     """Return the case of the study, seen as a new process sees it."""
     forget_versions()
-    study = folder / "study.toml"
-    study.write_text(LAG_STUDY.format(gain=gain), encoding="utf-8")
-    resolved = read_study(str(study)).problem
-    (case,) = cases_of(resolved, resolved.plant.built())
+    controller = {"type": "lag:Proportional", "settings": {"gain": {"type": gain}}}
+    text = study_text(plant={"name": "lag:Lag"}, reference={"y": 1.0}, controllers={"p": controller})
+    (case,) = cases_in(write(folder, text))
     return case
 
 

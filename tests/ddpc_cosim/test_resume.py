@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from fmus.builder import Fault
+from studies import run_file
 
 from ddpc_cosim import ConfigError, CosimError, load_results
 from ddpc_cosim.study.case_files import CaseResult, read_run
 from ddpc_cosim.study.cases import Case
-from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import StudyResults
-from ddpc_cosim.study.runner import Selection, Update, run_study
+from ddpc_cosim.study.runner import Update
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]
@@ -76,7 +76,7 @@ class Diary:
 def run(study: Path, **selection: Any) -> tuple[StudyResults, Diary]:
     """Run a study in this process's workers."""
     diary = Diary()
-    return run_study(read_study(str(study)), study.parent / "out", Selection(**selection), diary), diary
+    return run_file(study, progress=diary, **selection), diary
 
 
 def times(folder: Path) -> dict[str, int]:
@@ -404,10 +404,10 @@ class Quits(ddpc_cosim.{what.title()}):
         raise SystemExit(0)
 """
     (tmp_path / "leaving.py").write_text(code, encoding="utf-8")
-    study = write_study("leaving:Quits" if what == "controller" else "mfapc")
     if what == "plant":
-        _, _, rest = study.read_text(encoding="utf-8").partition("[loop]")
-        study.write_text(f'[plant]\nname = "leaving:Quits"\n[loop]{rest}', encoding="utf-8")
+        write_study("mfapc", plant={"name": "leaving:Quits"})
+    else:
+        write_study("leaving:Quits")
     done = run_program("run", "study.toml", "--no-report", "--out", "out")
     assert done.returncode == 2
     assert place in done.stderr
@@ -472,7 +472,7 @@ class HangsAboutItsLength(Hangs):
     def recording_length(self, inputs, outputs, measurements):
         threading.Event().wait()
 """
-WITH_A_RECORDING = "[recording]\nsamples = 60\nexcitation.u = { low = -1.0, high = 1.0 }\n"
+RECORDING = {"samples": 60, "excitation": {"u": {"low": -1.0, "high": 1.0}}}
 
 
 def test_a_controller_that_never_returns_costs_its_case_and_no_other(
@@ -480,9 +480,7 @@ def test_a_controller_that_never_returns_costs_its_case_and_no_other(
 ) -> None:
     (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
     kinds = ("Hangs", "HangsAtOnce", "HangsWhenItIsBuiltToRun", "HangsWhenAsked")
-    study = write_study(*(f"hanging:{kind}" for kind in kinds), "mfapc")
-    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
-    study.write_text(text, encoding="utf-8")
+    write_study(*(f"hanging:{kind}" for kind in kinds), "mfapc", loop={"step_timeout": 2.0})
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
     cases = {case.controller: case for case in load_results(tmp_path / "out").cases}
@@ -513,14 +511,10 @@ def test_one_that_never_returns_when_the_study_is_read_costs_its_cases_and_no_ot
         "HangsAboutItsRecording": "uses_recording",
         "HangsAboutItsLength": "recording_length",
     }
-    study = write_study(*(f"hanging:{kind}" for kind in calls), "mfapc")
-    text = (
-        study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 1.0") + WITH_A_RECORDING
-    )
-    text = text.replace(
-        "[controllers.mfapc]", "[controllers.hangswhenitismade.sweep]\ngain = [2.0, 3.0]\n[controllers.mfapc]"
-    )
-    study.write_text(text, encoding="utf-8")
+    controllers = (*(f"hanging:{kind}" for kind in calls), "mfapc")
+    study = write_study(*controllers, loop={"step_timeout": 1.0}, recording=RECORDING)
+    with study.open("a", encoding="utf-8") as file:
+        file.write("[controllers.hangswhenitismade.sweep]\ngain = [2.0, 3.0]\n")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--seeds", "0:2", "--out", "out")
     assert done.returncode == 1
     results = load_results(tmp_path / "out").cases
@@ -554,9 +548,7 @@ def test_a_case_that_takes_too_long_is_ended_though_each_call_returns(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
     (tmp_path / "endless.py").write_text(ENDLESS, encoding="utf-8")
-    study = write_study("endless:Endless", duration=1000.0)
-    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\ncase_timeout = 2.0")
-    study.write_text(text, encoding="utf-8")
+    write_study("endless:Endless", loop={"duration": 1000.0, "case_timeout": 2.0})
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
     (case,) = load_results(tmp_path / "out").cases
@@ -571,11 +563,8 @@ def test_a_stabilising_controller_that_never_returns_is_an_error(
 ) -> None:
     """Without it there is no recording for anyone."""
     (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
-    study = write_study("mfapc")
-    text = (
-        study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 1.0") + WITH_A_RECORDING
-    )
-    study.write_text(text + 'controller = { type = "hanging:HangsWhenItIsMade" }\n', encoding="utf-8")
+    recording = RECORDING | {"controller": {"type": "hanging:HangsWhenItIsMade"}}
+    write_study("mfapc", loop={"step_timeout": 1.0}, recording=recording)
     done = run_program("run", "study.toml")
     assert done.returncode == 2
     assert (
@@ -680,10 +669,7 @@ def test_a_run_that_hangs_between_two_calls_is_ended_too(
     (tmp_path / "lingering.py").write_text(LINGERING, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("ddpc_cosim.study.runner._BETWEEN_CALLS_SECONDS", 5.0)
-    study = write_study("lingering:Lingers")
-    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
-    study.write_text(text, encoding="utf-8")
-    results, _ = run(study)
+    results, _ = run(write_study("lingering:Lingers", loop={"step_timeout": 2.0}))
     (case,) = results.cases
     assert case.outcome == "timed-out"
     assert case.reason.startswith("the run: no return within 5 s in between two calls; ")
@@ -785,7 +771,7 @@ def test_a_folder_of_another_study_is_left_as_it_is(
             run(study)
     assert {path: path.read_bytes() for path in study.parent.glob("out/**/*") if path.is_file()} == before
     two = text.replace("[plant]", "[problems.one.plant]").replace("[loop]", "[problems.one.loop]")
-    two = two.replace("[reference]", "[problems.one.reference]")
+    two = two.replace("[reference.", "[problems.one.reference.")
     more = two[two.index("[problems") : two.index("[controllers")].replace("one", "two")
     study.write_text(two + more.replace("no_fault.fmu", plant), encoding="utf-8")
     assert run(study)[1].started == (4, 0)
@@ -852,8 +838,7 @@ def test_settings_that_a_study_file_cannot_say_keep_their_defaults(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
     (tmp_path / "wealthy.py").write_text(RICH, encoding="utf-8")
-    study = write_study("wealthy:Rich")
-    study.write_text(study.read_text(encoding="utf-8") + 'settings = { path = "y" }', encoding="utf-8")
+    write_study(controllers={"rich": {"type": "wealthy:Rich", "settings": {"path": "y"}}})
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 0, done.stderr
     (controller,) = load_results(tmp_path / "out").study.controllers.values()
@@ -865,9 +850,9 @@ def test_settings_that_a_study_file_cannot_say_keep_their_defaults(
 @pytest.mark.parametrize("out", ["file", "file/below"])
 def test_a_folder_that_cannot_be_written_to(out: str, write_study: WriteStudy, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    study = read_study(str(write_study("mfapc")))
+    study = write_study("mfapc")
     with pytest.raises(ConfigError, match="results cannot be written there"):
-        run_study(study, tmp_path / out, Selection(), Diary())
+        run_file(study, out, progress=Diary())
 
 
 def test_a_plant_that_cannot_be_built_says_what_to_do(

@@ -1,6 +1,5 @@
 """Workers that are started anew, as on macOS and Windows: what differs, and what must not."""
 
-import io
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -11,17 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from fmus.builder import Fault
+from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import FMUPlant, FMUStepError
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import is_own
 from ddpc_cosim.processes import spawning
 from ddpc_cosim.study import runner
 from ddpc_cosim.study.case_files import read_run
-from ddpc_cosim.study.cases import Case, cases_of, leaves_nothing_behind
-from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.cases import leaves_nothing_behind
 from ddpc_cosim.study.results import StudyResults
-from ddpc_cosim.study.runner import Selection, run_cases, run_study
+from ddpc_cosim.study.runner import run_cases
 
 WriteStudy = Callable[..., Path]
 
@@ -72,35 +70,15 @@ class Looks(Controller):
         return np.ones(1)
 """
 
-PENDULUM = """
-name = "spawned"
-seeds = [0, 1]
-[plant]
-name = "pendulum"
-inputs = ["torque"]
-outputs = ["angle"]
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference.angle]
-kind = "steps"
-times = [0.0]
-values = [20.0]
-unit = "deg"
-[bounds]
-torque = { min = -5.0, max = 5.0 }
-[recording]
-samples = 60
-excitation.torque = { kind = "prbs", low = -1.0, high = 1.0 }
-[scenarios.noisy]
-noise.angle = 0.01
-[controllers.mfapc]
-type = "mfapc"
-[controllers.deepc]
-type = "deepc"
-[controllers.spsa]
-type = "spsa"
-"""
+PENDULUM = study_text(
+    name="spawned",
+    seeds=[0, 1],
+    reference={"angle": {"kind": "steps", "times": [0.0], "values": [20.0], "unit": "deg"}},
+    bounds={"torque": {"min": -5.0, "max": 5.0}},
+    recording={"samples": 60, "excitation": {"torque": {"kind": "prbs", "low": -1.0, "high": 1.0}}},
+    scenarios={"noisy": {"noise": {"angle": 0.01}}},
+    controllers=["mfapc", "deepc", "spsa"],
+)
 
 
 @pytest.fixture
@@ -123,16 +101,9 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[list["subprocess.Popen[
 def write_failing(write_study: WriteStudy, tmp_path: Path) -> WriteStudy:
     def write(*names: str) -> Path:
         (tmp_path / "failing.py").write_text(FAILING, encoding="utf-8")
-        path = write_study(*(f"failing:{name}" for name in names))
-        text = path.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
-        path.write_text(text, encoding="utf-8")
-        return path
+        return write_study(*(f"failing:{name}" for name in names), loop={"step_timeout": 2.0})
 
     return write
-
-
-def run(path: Path, out: Path, jobs: int = 1) -> StudyResults:
-    return run_study(read_study(str(path)), out, Selection(jobs), LineProgress(io.StringIO()))
 
 
 def told(results: StudyResults) -> dict[str, dict[str, Any]]:
@@ -157,13 +128,12 @@ def test_results_are_those_of_forked_workers_and_one_interpreter_runs_all_cases(
     tmp_path: Path, started: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Random numbers, warnings and diagnostics included."""
-    path = tmp_path / "study.toml"
-    path.write_text(PENDULUM, encoding="utf-8")
-    spawned = run(path, tmp_path / "spawned")
+    path = write(tmp_path, PENDULUM)
+    spawned = run_file(path, "spawned")
     assert len(started) == 1
     with monkeypatch.context() as patch:
         patch.setattr(spawning, "forks", lambda: True)
-        forked = run(path, tmp_path / "forked", jobs=2)
+        forked = run_file(path, "forked", jobs=2)
     assert len(started) == 1
     assert len(told(spawned)) == 8
     assert told(spawned) == told(forked)
@@ -192,7 +162,7 @@ def test_a_worker_whose_case_fails_is_not_used_again(
     if shared:  # as if all of it were known to leave nothing behind
         monkeypatch.setattr(runner, "leaves_nothing_behind", lambda case: True)
     path = write_failing(*(name.capitalize() for name in ENDINGS))
-    results = run(path, tmp_path / "out")
+    results = run_file(path)
     for case in results.cases:
         outcome, reason = ENDINGS[case.controller]
         assert case.outcome == outcome
@@ -204,16 +174,10 @@ def test_a_worker_whose_case_fails_is_not_used_again(
     assert not [*(tmp_path / "out/cases").glob(".staging*")]
 
 
-def cases(path: Path) -> list[Case]:
-    resolved = read_study(str(path)).problem
-    return cases_of(resolved, resolved.plant.built())
-
-
 def test_one_that_has_died_between_two_cases_is_replaced(tmp_path: Path, started: list[Any]) -> None:
-    path = tmp_path / "study.toml"
-    path.write_text(PENDULUM, encoding="utf-8")
+    path = write(tmp_path, PENDULUM)
     (folder := tmp_path / "cases").mkdir()
-    ran = run_cases([case for case in cases(path) if case.controller != "spsa"], folder, 1)
+    ran = run_cases([case for case in cases_in(path) if case.controller != "spsa"], folder, 1)
     for died in (False, True, False, False):
         if died:
             started[0].kill()
@@ -231,7 +195,7 @@ def test_a_case_does_not_begin_where_the_last_one_was(
     path = write_failing("Looks")
     path.write_text(path.read_text(encoding="utf-8").replace("[0]", "[0, 1, 2]"), encoding="utf-8")
     (folder := tmp_path / "cases").mkdir()
-    for case in run_cases(cases(path), folder, 1):
+    for case in run_cases(cases_in(path), folder, 1):
         told = read_run(folder / case.id)
         assert told["outcome"] == "completed", told["reason"]
         assert told["left"] == {"left": 0}
@@ -243,16 +207,15 @@ def test_a_case_does_not_begin_where_the_last_one_was(
 
 
 def test_which_cases_leave_nothing_behind(tmp_path: Path, write_failing: WriteStudy) -> None:
-    path = tmp_path / "study.toml"
-    path.write_text(PENDULUM, encoding="utf-8")
-    case = cases(path)[0]
+    path = write(tmp_path, PENDULUM)
+    case = cases_in(path)[0]
     assert leaves_nothing_behind(case)
     assert not leaves_nothing_behind(replace(case, plant=replace(case.plant, isolated=True)))
     assert not leaves_nothing_behind(replace(case, plant=replace(case.plant, name="any:Plant", fmu="")))
     assert not leaves_nothing_behind(replace(case, section={"type": "any:Controller", "settings": {}}))
     nested = {"type": "deepc", "settings": {"dictionary": {"type": "any:Dictionary"}}}
     assert not leaves_nothing_behind(replace(case, section=nested))
-    assert not any(map(leaves_nothing_behind, cases(write_failing("Works"))))
+    assert not any(map(leaves_nothing_behind, cases_in(write_failing("Works"))))
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def run_on_a_terminal(arguments: list[str], folder: Path) -> tuple[int, str]:
 def test_progress_is_drawn_in_place_and_the_table_stays(
     program: str, write_study: WriteStudy, tmp_path: Path
 ) -> None:
-    write_study("mfapc", seeds="[0, 1, 2]", duration=100.0)
+    write_study("mfapc", seeds="[0, 1, 2]", loop={"duration": 100.0})
     exit_code, drawn = run_on_a_terminal(
         [program, "run", "study.toml", "--jobs", "1", "--no-report"], tmp_path
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from studies import study_text, write
 
 from ddpc_cosim import CosimWarning, Trace, load_results, metrics
 
@@ -55,29 +56,22 @@ of_an_output = Metric(float, "Wrong", "of something else", energy_of, unit="1")
 without_unit = Metric(Trace, "No unit", "unit forgotten", energy_of)
 """
 
-STUDY = """
-name = "lag"
-[plant]
-name = "measures:Lag"
-[loop]
-sampling_time = 0.1
-duration = 5.0
-[reference]
-y = { kind = "constant", value = 1.0 }
-[controllers.p]
-type = "measures:Proportional"
-settings = { gain = 4.0 }
-[controllers.q]
-type = "measures:Proportional"
-settings = { gain = 5.0 }
-"""
+STUDY = study_text(
+    plant={"name": "measures:Lag"},
+    reference={"y": 1.0},
+    controllers={
+        "p": {"type": "measures:Proportional", "settings": {"gain": 4.0}},
+        "q": {"type": "measures:Proportional", "settings": {"gain": 5.0}},
+    },
+    loop={"duration": 5.0},
+)
 
 
 @pytest.fixture
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of installed packages, with a third party's one."""
     (tmp_path / "measures.py").write_text(MODULE, encoding="utf-8")
-    (tmp_path / "lag.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, STUDY, "lag.toml")
     monkeypatch.delitem(sys.modules, "measures", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path

@@ -4,13 +4,12 @@ from itertools import product
 from statistics import fmean
 
 import pytest
+from studies import run_file
 
 from ddpc_cosim import Outcome, StudyResults
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 
 from .recomputed import read_case
-from .test_studies import Silent
 
 # What its fixture runs is run once, in one process.
 pytestmark = pytest.mark.xdist_group("benchmark")
@@ -22,8 +21,7 @@ SCENARIOS = ["nominal", "noise", "disturbance", "mismatch", "tight", "no-preview
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
     """Run every controller on every problem once, without noise or anything else that disturbs."""
-    selection = Selection(jobs=2, seeds=[0], only="nominal")
-    return run_study(read_study("benchmark"), tmp_path_factory.mktemp("benchmark"), selection, Silent())
+    return run_file("benchmark", tmp_path_factory.mktemp("benchmark"), jobs=2, seeds=[0], only="nominal")
 
 
 def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmus.builder import CO_SIMULATION, Fault, V, describe, library_name, model_library, write_archive
+from studies import study_text, write
 
 from ddpc_cosim import CaseResult, StudyResults, load_results
 
@@ -219,20 +220,6 @@ OF_THE_MACHINE = {"lacks_a_module_at_start", "runs_out_of_memory", "fills_the_di
 CONTROLLERS, SCENARIOS = 4, 50
 EACH = len(FAULTS) // CONTROLLERS
 
-STUDY = """
-[plant]
-fmu = "chaos.fmu"
-isolated = {isolated}
-outputs = ["y"]
-[loop]
-sampling_time = 0.1
-duration = 1.0
-step_timeout = 3.0
-memory_limit = 1.0
-[reference]
-y = {{ kind = "constant", value = 1.0 }}
-"""
-
 
 # The command, which leaves how much memory it has had at most: itself, not what it has started.
 MEASURED = """
@@ -249,7 +236,7 @@ main()
 """
 
 
-def write_study(folder: Path, isolated: str) -> tuple[dict[str, str], dict[str, str]]:
+def write_study(folder: Path, isolated: str | bool) -> tuple[dict[str, str], dict[str, str]]:
     """Write study, FMU and module; return outcomes and faults of the cases that go wrong, by their names."""
     assert (len(FAULTS), EACH + len(EARLY)) == (EACH * CONTROLLERS, 15)
     content = {
@@ -258,21 +245,29 @@ def write_study(folder: Path, isolated: str) -> tuple[dict[str, str], dict[str, 
     }
     write_archive(folder / "chaos.fmu", content)
     (folder / "chaos.py").write_text(CODE, encoding="utf-8")
-    text, outcomes, names, faults = STUDY.format(isolated=isolated), {}, {}, iter(FAULTS.items())
-    scenarios = [*(f"faulty-{k}" for k in range(1, 16)), *(f"good-{k}" for k in range(16, SCENARIOS + 1))]
+    controllers, scenarios, outcomes, names, faults = {}, {}, {}, {}, iter(FAULTS.items())
+    numbered = [*(f"faulty-{k}" for k in range(1, 16)), *(f"good-{k}" for k in range(16, SCENARIOS + 1))]
     for i in range(CONTROLLERS):
         own = dict(islice(faults, EACH))
-        text += f'[controllers.c{i}]\ntype = "chaos:Chaos"\nsettings = {{ faults = {[*own]} }}\n'
-        cases = [f"c{i}_{scenario}_seed0" for scenario in scenarios]
+        controllers[f"c{i}"] = {"type": "chaos:Chaos", "settings": {"faults": [*own]}}
+        cases = [f"c{i}_{scenario}_seed0" for scenario in numbered]
         outcomes |= dict(zip(cases, [*own.values(), *EARLY.values()], strict=False))
         names |= dict(zip(cases, own, strict=False))
     early = {f"faulty-{EACH + n}": int(fault) for n, fault in enumerate(EARLY, 1)}
     # Good ones run beside faulty ones.
     for k in np.random.default_rng(0).permutation(SCENARIOS):
-        name = scenarios[k]
-        more = f"parameters.fault_from_the_start = {early[name]}" if name in early else ""
-        text += f"[scenarios.{name}]\npreview = {k + 1}\nnoise.y = {(k + 1) / 1000}\n{more}\n"
-    (folder / "study.toml").write_text(text, encoding="utf-8")
+        name = numbered[k]
+        scenarios[name] = {"preview": int(k) + 1, "noise": {"y": (int(k) + 1) / 1000}}
+        if name in early:
+            scenarios[name]["parameters"] = {"fault_from_the_start": early[name]}
+    text = study_text(
+        plant={"fmu": "chaos.fmu", "isolated": isolated, "outputs": ["y"]},
+        reference={"y": 1.0},
+        controllers=controllers,
+        loop={"step_timeout": 3.0, "memory_limit": 1.0},
+        scenarios=scenarios,
+    )
+    write(folder, text)
     return outcomes, names
 
 
@@ -327,8 +322,8 @@ def name_of(case: CaseResult) -> str:
     return f"{case.controller}_{case.scenario}_seed{case.seed}"
 
 
-@pytest.mark.parametrize("isolated", ['"auto"', "false"], ids=["own-processes", "shared-processes"])
-def test_what_goes_wrong_costs_itself_and_nothing_else(isolated: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("isolated", ["auto", False], ids=["own-processes", "shared-processes"])
+def test_what_goes_wrong_costs_itself_and_nothing_else(isolated: str | bool, tmp_path: Path) -> None:
     """Processes that run one case after the other included."""
     wrong, faults = write_study(tmp_path, isolated)
     chaos = run(tmp_path, "--out", "out")
@@ -353,14 +348,14 @@ def test_what_goes_wrong_costs_itself_and_nothing_else(isolated: str, tmp_path: 
     assert sum(written) < 1e7
 
     (tmp_path / "calm").mkdir()
-    write_study(tmp_path / "calm", "false")
+    write_study(tmp_path / "calm", False)
     calm = run(tmp_path / "calm", "--out", "out", "--no-report", "--only", "*good*")
     assert (calm.done.returncode, calm.left) == (0, []), calm.done.stderr
     alone = {name_of(case): signals(case) for case in load_results(tmp_path / "calm/out").cases}
     assert len(alone) == 140
     assert {name_of(case): signals(case) for case in results.cases if name_of(case) in alone} == alone
 
-    if isolated != "false":  # it makes no difference to going on
+    if isolated:  # it makes no difference to going on
         check_going_on(tmp_path, results, faults)
 
 

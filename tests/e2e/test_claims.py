@@ -9,15 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from studies import run_file
 
 from ddpc_cosim import CaseResult, StudyResults
 from ddpc_cosim.study.controller_plugins import make_controller
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_reports.page import render_page
 
 from .recomputed import figures_of, read_case, verdict
-from .test_studies import STUDIES, Silent
+from .test_studies import STUDIES
 
 # What its fixtures run is run in one process.
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("claims")]
@@ -27,7 +26,7 @@ HORIZON = 5
 
 
 def run_all(name: str, folder: Path) -> StudyResults:
-    return run_study(read_study(str(STUDIES / f"{name}.toml")), folder, Selection(jobs=2), Silent())
+    return run_file(STUDIES / f"{name}.toml", folder, jobs=2)
 
 
 @pytest.fixture(scope="module")

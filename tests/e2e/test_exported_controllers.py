@@ -11,9 +11,8 @@ from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Outcom
 from ddpc_cosim.study import cases
 from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import built_plants
 
-from .test_studies import STUDIES, Silent
+from .test_studies import STUDIES
 
 pytestmark = pytest.mark.slow
 
@@ -85,9 +84,8 @@ def distance(case: Case, kind: type[Beside]) -> float:
 def cases_of(study: str) -> list[Case]:
     """Return the cases of a study's first scenario and seed, of all its problems."""
     resolved, found = read_study(study), list[Case]()
-    plants = built_plants(resolved, Silent())
     for name, one in resolved.problems.items():
-        of_problem = cases_of_problems({name: (one, plants[name])}, one.study.seeds[:1])
+        of_problem = cases_of_problems({name: (one, one.plant.built())}, one.study.seeds[:1])
         found += [case for case in of_problem if case.scenario == of_problem[0].scenario]
     chosen = sorted(found, key=lambda case: case.section["type"])[:: -(-len(found) // MOST)]
     assert {case.section["type"] for case in chosen} == {case.section["type"] for case in found}

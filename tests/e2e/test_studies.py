@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import run_file
 
 from ddpc_cosim import CaseResult, FloatArray, Outcome, StudyResults
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import cstr
 from fmu_plants.linear import linearise
 
@@ -32,22 +32,6 @@ BUILT_IN = [
 PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")
 
 
-class Silent:
-    """A run that nobody watches."""
-
-    def prepare(self, what: str) -> None:
-        """Say nothing."""
-
-    def start(self, total: int, kept: int) -> None:
-        """Say nothing."""
-
-    def update(self, update: object) -> None:
-        """Say nothing."""
-
-    def finished(self, case: object, result: object) -> None:
-        """Say nothing."""
-
-
 @pytest.fixture(scope="module")
 def results_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], StudyResults]:
     """Run a study on some of its seeds, once."""
@@ -55,9 +39,9 @@ def results_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Stud
 
     def run(name: str) -> StudyResults:
         if name not in done:
-            study, folder = read_study(str(STUDIES / f"{name}.toml")), tmp_path_factory.mktemp(name)
-            selection = Selection(jobs=2, seeds=study.problem.study.seeds[: 3 if name in COMPARATIVE else 1])
-            done[name] = run_study(study, folder, selection, Silent())
+            study, folder = STUDIES / f"{name}.toml", tmp_path_factory.mktemp(name)
+            seeds = read_study(str(study)).problem.study.seeds[: 3 if name in COMPARATIVE else 1]
+            done[name] = run_file(study, folder, jobs=2, seeds=seeds)
         return done[name]
 
     return run

@@ -13,6 +13,7 @@ import fmpy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from studies import PENDULUM, study_text, write
 
 from ddpc_cosim import FloatArray
 from ddpc_cosim.cli.main import main
@@ -30,26 +31,13 @@ pytestmark = [
 STEP = 0.1
 STEPS = 100
 ROUNDINGS = 8 * 2.0**-52
-STUDY = """
-name = "small"
-[plant]
-name = "pendulum"
-inputs = ["torque"]
-outputs = ["angle"]
-measurements = ["angle", "angular_velocity"]
-[loop]
-sampling_time = 0.1
-duration = 3.0
-[reference.angle]
-kind = "steps"
-times = [0.0, 1.0]
-values = [10.0, -20.0]
-unit = "deg"
-[bounds]
-torque = { min = -3.5, max = 3.5 }
-[controllers.mfapc]
-type = "mfapc"
-"""
+STUDY = study_text(
+    name="small",
+    plant=PENDULUM | {"measurements": ["angle", "angular_velocity"]},
+    reference={"angle": {"kind": "steps", "times": [0.0, 1.0], "values": [10.0, -20.0], "unit": "deg"}},
+    loop={"duration": 3.0},
+    bounds={"torque": {"min": -3.5, "max": 3.5}},
+)
 
 Host = Callable[[Path, FloatArray], dict[str, FloatArray]]
 REQUEST = struct.Struct("@128s64sd4I64I64I")
@@ -124,8 +112,7 @@ def test_a_plant_is_the_same(host: Host, tmp_path: Path) -> None:
 
 
 def test_a_controller_is_the_same_to_the_last_bit(host: Host, tmp_path: Path) -> None:
-    (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
-    command = ["export-controller", str(tmp_path / "small.toml"), "--controller", "mfapc"]
+    command = ["export-controller", str(write(tmp_path, STUDY)), "--controller", "mfapc"]
     fmu = exported(tmp_path, *command)
     told = fmpy.read_model_description(str(fmu))
     inputs = [v for v in told.modelVariables if v.causality == "input"]

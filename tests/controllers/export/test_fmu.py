@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmus.blocks import block_files
+from studies import cases_in, study_text, write
 
 from ddpc_controllers import LQR, DeePC, FMUController, Idle
 from ddpc_cosim import (
@@ -29,8 +30,6 @@ from ddpc_cosim import (
     cosimulate,
     export_controller,
 )
-from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.reading import read_study
 from fmu_plants import Variable as ScalarVariable
 from fmu_plants.export import export_block
 from fmu_plants.export.sampled_block import SampledBlock
@@ -271,31 +270,13 @@ def test_a_fault_of_the_fmu_is_an_error_of_the_controller(foreign_fmu: Path) -> 
 @pytest.mark.parametrize("isolated", [False, True])
 def test_it_is_a_controller_of_study_files(foreign_fmu: Path, tmp_path: Path, isolated: bool) -> None:
     """Its file lies beside the study, and its content is part of what decides a result."""
-    study = f"""
-name = "with-fmu"
-[plant]
-name = "pendulum"
-inputs = ["torque"]
-outputs = ["angle"]
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference.angle]
-kind = "constant"
-value = 0.1
-[controllers.other]
-type = "fmu"
-[controllers.other.settings]
-file = "mine.fmu"
-isolated = {str(isolated).lower()}
-signals = {{ phi = "angle", phi_ref = "reference.angle[2]", M = "torque", gain = 0 }}
-"""
-    (tmp_path / "study.toml").write_text(study, encoding="utf-8")
+    signals = {"phi": "angle", "phi_ref": "reference.angle[2]", "M": "torque", "gain": 0}
+    settings = {"file": "mine.fmu", "isolated": isolated, "signals": signals}
+    study = write(tmp_path, study_text(controllers={"other": {"type": "fmu", "settings": settings}}))
     mine = tmp_path / "mine.fmu"
 
     def case_id() -> str:
-        resolved = read_study(str(tmp_path / "study.toml")).problem
-        return cases_of(resolved, resolved.plant.built())[0].id
+        return cases_in(study)[0].id
 
     mine.write_bytes(foreign_fmu.read_bytes())
     first = case_id()

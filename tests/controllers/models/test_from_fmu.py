@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmus.builder import telling_fmu
+from studies import study_text, write
 
 from ddpc_controllers import LQR, MPC, FMUModel, StateSpace, pulse_model
 from ddpc_controllers.models.identification import markov_parameters
@@ -243,27 +244,8 @@ def test_derivatives_that_the_fmu_contradicts_are_a_warning_of_the_controller(tm
 
 def test_a_study_names_the_fmu_in_a_table(fmu_of: Any, tmp_path: Path) -> None:
     path = fmu_of(pendulum.MODEL)
-    study = tmp_path / "study.toml"
-    study.write_text(
-        f"""
-[plant]
-name = "pendulum"
-outputs = ["angle"]
-[loop]
-sampling_time = 0.1
-duration = 2.0
-[reference.angle]
-kind = "constant"
-value = 0.1
-[controllers.mpc]
-type = "mpc"
-[controllers.mpc.settings.model]
-type = "ddpc_controllers:FMUModel"
-fmu = '{path}'
-parameters = {{ mass = 1.1 }}
-""",
-        encoding="utf-8",
-    )
+    model = {"type": "ddpc_controllers:FMUModel", "fmu": str(path), "parameters": {"mass": 1.1}}
+    study = write(tmp_path, study_text(controllers={"mpc": {"type": "mpc", "settings": {"model": model}}}))
     section = read_study(str(study)).problem.study.controllers["mpc"]
     assert section.settings["model"]["fmu"] == path
     with FMUPlant(path, outputs=["angle"]) as plant:

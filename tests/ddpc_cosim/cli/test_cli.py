@@ -287,11 +287,7 @@ def test_on_a_terminal_of_80_columns_names_are_whole_and_no_word_is_broken() -> 
 
 
 def test_cases_are_chosen_by_labels_with_brackets_too(folder: Path, write_study: WriteStudy) -> None:
-    study = write_study("mfapc", "idle")
-    text = study.read_text(encoding="utf-8").replace(
-        "[controllers.idle]", '[controllers.idle]\nlabel = "At [rest]"'
-    )
-    study.write_text(text, encoding="utf-8")
+    write_study(controllers={"mfapc": "mfapc", "idle": {"type": "idle", "label": "At [rest]"}})
     for only in ("At [rest]", "At *", "idle"):
         result = invoke("run", "study.toml", "--only", only, "--dry-run")
         assert result.stdout.startswith("1 case and 1 run of doing nothing: ")

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
 from fmus.builder import (
     GAINED,
     Fault,
@@ -17,6 +16,7 @@ from fmus.builder import (
     write_archive,
     write_fmu,
 )
+from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import (
     ConfigError,
@@ -31,7 +31,7 @@ from ddpc_cosim import (
     simulate,
 )
 from ddpc_cosim.study.case_files import read_trace
-from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.cases import run_case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import run_cases
 from fmu_plants.pendulum import MODEL as PENDULUM
@@ -72,32 +72,19 @@ def halves(exported: Exported) -> dict[str, Any]:
     }
 
 
-def study(plant: dict[str, Any], **tables: Any) -> dict[str, Any]:
-    reference = plant["outputs"][0]
-    return {
-        "plant": plant,
-        "loop": {"sampling_time": 0.1, "duration": 1.0},
-        "reference": {reference: {"kind": "constant", "value": 0.0}},
-        "controllers": {"nothing": {"type": "idle"}},
-        **tables,
-    }
+def study(plant: dict[str, Any], **tables: Any) -> str:
+    reference = {plant["outputs"][0]: 0.0}
+    return study_text(plant=plant, reference=reference, controllers={"nothing": "idle"}, **tables)
 
 
-def cases(folder: Path, tables: dict[str, Any]) -> list[Case]:
-    path = folder / "study.toml"
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    resolved = read_study(str(path)).problem
-    return cases_of(resolved, resolved.plant.built())
-
-
-def faults(folder: Path, tables: dict[str, Any]) -> str:
+def faults(folder: Path, text: str) -> str:
     with pytest.raises(ConfigError) as caught:
-        cases(folder, tables)
+        cases_in(write(folder, text))
     return "\n".join(caught.value.faults)
 
 
 def test_a_study_of_two_fmus_is_that_of_the_whole(halves: dict[str, Any], tmp_path: Path) -> None:
-    (case,) = cases(tmp_path, study(halves))
+    (case,) = cases_in(write(tmp_path, study(halves)))
     trace = run_case(case)
     whole = exact(np.zeros(10).tolist(), 0.1)
     np.testing.assert_allclose(trace.measured, whole[:, [0, 2]], atol=1e-5)
@@ -108,11 +95,10 @@ def test_a_study_of_two_fmus_is_that_of_the_whole(halves: dict[str, Any], tmp_pa
 
 def test_the_results_folder_has_the_study_as_it_was_resolved(halves: dict[str, Any], tmp_path: Path) -> None:
     """Written out, read back and run, it has the same cases; and the report shows what the plant is."""
-    first = cases(tmp_path, study(halves))
-    results = Study.read(tmp_path / "study.toml").run(tmp_path / "out", progress=False)
+    first = cases_in(write(tmp_path, study(halves)))
+    results = run_file(tmp_path / "study.toml")
     assert [case.id for case in results.cases] == [case.id for case in first]
-    again = read_study(str(tmp_path / "out" / "study.toml")).problem
-    assert [case.id for case in cases_of(again, again.plant.built())] == [case.id for case in first]
+    assert [case.id for case in cases_in(tmp_path / "out" / "study.toml")] == [case.id for case in first]
     assert "front + back" in (tmp_path / "out" / "metrics.csv").read_text(encoding="utf-8")
     page = results.report().read_text(encoding="utf-8")
     for words in ("part back", "back.fmu", "follows back.x", "communication step", "back.fmu sha256"):
@@ -143,7 +129,7 @@ def test_parts_may_be_equations_fmus_classes_and_archives(
         ],
     }
     scenarios = {"changed": {"events": [{"time": 0.5, "parameters": {"gain.k": 5.0, "gain.b": 0.0}}]}}
-    (case,) = cases(tmp_path, study(plant, scenarios=scenarios))
+    (case,) = cases_in(write(tmp_path, study(plant, scenarios=scenarios)))
     assert case.plant.isolated
     trace = run_case(case)
     assert trace.outcome is Outcome.COMPLETED, trace.reason
@@ -156,7 +142,7 @@ def test_parts_may_be_equations_fmus_classes_and_archives(
 
 def test_case_ids_depend_on_parts_connections_and_options(halves: dict[str, Any], tmp_path: Path) -> None:
     def identifier(**changes: Any) -> str:
-        (case,) = cases(tmp_path, study({**halves, **changes}))
+        (case,) = cases_in(write(tmp_path, study({**halves, **changes})))
         return case.id
 
     first, (front, back) = identifier(), halves["parts"]
@@ -187,7 +173,7 @@ def test_a_study_in_python_is_the_one_of_the_file(
     results = Study(problem, {"nothing": "idle"}).run(tmp_path / "out", progress=False)
     del halves["measurements"], halves["isolated"]
     halves["parts"][1]["step"] = 5e-4
-    (case,) = cases(tmp_path, study(halves))
+    (case,) = cases_in(write(tmp_path, study(halves)))
     assert [one.id for one in results.cases] == [case.id]
 
 
@@ -274,9 +260,8 @@ def test_a_coupling_that_is_not_possible_is_told_before_any_case_runs(
         "connections": [{"from": "lag.y", "to": "other.u"}],
         "coupling": coupling,
     }
-    (tmp_path / "study.toml").write_text(tomli_w.dumps(study(plant)), encoding="utf-8")
     with pytest.raises(ConfigError, match=words):
-        Study.read(tmp_path / "study.toml").run(tmp_path / "out", progress=False)
+        run_file(write(tmp_path, study(plant)))
 
 
 @pytest.mark.parametrize("in_own_process", [False, True])
@@ -304,7 +289,7 @@ def test_a_part_that_fails_ends_the_case_with_its_name(
         ],
         "connections": [{"from": "bad.y", "to": "good.u"}],
     }
-    planned = cases(tmp_path, study(plant))
+    planned = cases_in(write(tmp_path, study(plant)))
     (case,) = run_cases(planned, tmp_path, 1, lambda _: None)
     trace = read_trace(tmp_path / case.id)
     assert trace.outcome is outcome
@@ -327,7 +312,7 @@ def test_a_class_that_crashes_as_a_part_is_named_too(tmp_path: Path, monkeypatch
         "parts": parts,
         "connections": [{"from": "lag.y", "to": "bad.u"}],
     }
-    (case,) = run_cases(cases(tmp_path, study(plant)), tmp_path, 1, lambda _: None)
+    (case,) = run_cases(cases_in(write(tmp_path, study(plant))), tmp_path, 1, lambda _: None)
     assert 'crashed in step of part "bad" at t = 0 s' in read_trace(tmp_path / case.id).reason
 
 
@@ -347,7 +332,7 @@ def test_an_archive_in_a_study(tmp_path: Path) -> None:
         "parameters": {"a.b": 1.0},
         "isolated": False,
     }
-    (case,) = cases(tmp_path, study(plant))
+    (case,) = cases_in(write(tmp_path, study(plant)))
     trace = run_case(case)
     assert [v.name for v in (*trace.inputs, *trace.outputs)] == ["in", "out"]
     np.testing.assert_allclose(trace.y, 2.25)
@@ -387,7 +372,7 @@ def one_part(folder: Path, *variables: V, version: str = "2.0", **settings: str)
 
 def test_a_system_has_the_variables_of_its_parts_with_the_values_that_it_gives_them(tmp_path: Path) -> None:
     one_part(tmp_path, *GAINED)
-    (case,) = cases(tmp_path, study({"ssp": "one.ssp", "outputs": ["a.y"], "isolated": False}))
+    (case,) = cases_in(write(tmp_path, study({"ssp": "one.ssp", "outputs": ["a.y"], "isolated": False})))
     described = case.plant.variables()
     assert {name: described.variables[name].causality for name in ("a.u", "a.y", "a.gain", "a.hidden")} == {
         "a.u": "input",

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from fmpy.validation import validate_fmu
 from fmus.blocks import block_files
+from studies import PENDULUM, study_text, write
 
 from ddpc_cosim import (
     ConfigError,
@@ -74,47 +75,35 @@ class Mine(Controller):
         return np.zeros(1)
 
 
-STUDY = """
-name = "small"
-seeds = [3, 4]
-[plant]
-name = "pendulum"
-inputs = ["torque"]
-outputs = ["angle"]
-measurements = ["angle", "angular_velocity"]
-[loop]
-sampling_time = 0.1
-duration = 3.0
-[reference.angle]
-kind = "steps"
-times = [0.0, 1.0]
-values = [10.0, -20.0]
-unit = "deg"
-[bounds]
-torque = { min = -3.5, max = 3.5 }
-[recording]
-samples = 30
-excitation.torque = { kind = "uniform", low = -1.0, high = 3.0 }
-[scenarios.noisy]
-noise.angle = 0.01
-[controllers.p]
-type = "tests.ddpc_cosim.exporting.test_export_controller:Proportional"
-settings = { gain = 6.0 }
-[controllers.idle]
-type = "idle"
-[controllers.mine]
-type = "tests.ddpc_cosim.exporting.test_export_controller:Mine"
-[controllers.broken]
-type = "tests.ddpc_cosim.exporting.test_export_controller:Proportional"
-settings = { fails = true }
-"""
+STUDY = study_text(
+    name="small",
+    seeds=[3, 4],
+    plant=PENDULUM | {"measurements": ["angle", "angular_velocity"]},
+    reference={"angle": {"kind": "steps", "times": [0.0, 1.0], "values": [10.0, -20.0], "unit": "deg"}},
+    loop={"duration": 3.0},
+    bounds={"torque": {"min": -3.5, "max": 3.5}},
+    recording={"samples": 30, "excitation": {"torque": {"kind": "uniform", "low": -1.0, "high": 3.0}}},
+    scenarios={"noisy": {"noise": {"angle": 0.01}}},
+    controllers={
+        "p": {
+            "type": "tests.ddpc_cosim.exporting.test_export_controller:Proportional",
+            "settings": {"gain": 6.0},
+        },
+        "idle": "idle",
+        "mine": "tests.ddpc_cosim.exporting.test_export_controller:Mine",
+        "broken": {
+            "type": "tests.ddpc_cosim.exporting.test_export_controller:Proportional",
+            "settings": {"fails": True},
+        },
+    },
+)
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder to be in, with a study."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "small.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, STUDY, "small.toml")
     return tmp_path
 
 

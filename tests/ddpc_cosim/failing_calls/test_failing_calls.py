@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from studies import study_text, write
 
 from fmu_plants.export.compiler import compile_library, find_compiler
 
@@ -32,23 +33,11 @@ class Lag(Plant):
         self.y = self.y + h * (u - 2.0 * self.y)
         return self.y.copy()
 """
-STUDY = """
-seeds = [0]
-[plant]
-name = "lag_that_is_run_often:Lag"
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-y = { kind = "constant", value = 1.0 }
-[controllers.mfac]
-type = "mfac"
-[controllers.mfapc]
-type = "mfapc"
-[controllers.ipid]
-type = "ipid"
-settings = { alpha = 2.0 }
-"""
+STUDY = study_text(
+    plant={"name": "lag_that_is_run_often:Lag"},
+    reference={"y": 1.0},
+    controllers={"mfac": "mfac", "mfapc": "mfapc", "ipid": {"type": "ipid", "settings": {"alpha": 2.0}}},
+)
 ALL = ("ENOSPC", "EIO", "EMFILE", "EINTR", "ENOMEM")
 Answer = dict[str, Any]
 
@@ -64,7 +53,7 @@ class Command:
         visible = ["-fvisibility=default"]
         library.write_bytes(compile_library(find_compiler(), source, ["failing_calls_begin"], visible))
         (place / "lag_that_is_run_often.py").write_text(PLANT)
-        (place / "study.toml").write_text(STUDY)
+        write(place, STUDY)
         environment = {"LD_PRELOAD": str(library), "TMPDIR": str(self._work / "scratch")}
         self._process = subprocess.Popen(
             [sys.executable, str(HERE / "run_with_failing_calls.py"), str(self._work), *options],

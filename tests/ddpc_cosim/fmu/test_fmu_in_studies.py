@@ -10,33 +10,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from fmus.builder import LAG, describe, model_fmu, model_library, write_fmu
+from studies import run_file, study_text, write
 
 from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study
 from fmu_plants.export.compiler import find_compiler
 
-STUDY = """
-[plant]
-fmu = "{fmu}"
-outputs = ["x"]
-{plant}
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-x = {{ kind = "constant", value = 1.0 }}
-[controllers.mfapc]
-type = "mfapc"
-{more}
-"""
 
-
-def write_study(folder: Path, fmu: Path, plant: str = "", more: str = "") -> Path:
-    path = folder / "study.toml"
-    path.write_text(STUDY.format(fmu=fmu.name, plant=plant, more=more), encoding="utf-8")
-    return path
+def write_study(folder: Path, fmu: Path, **plant: Any) -> Path:
+    section = {"fmu": fmu.name, "outputs": ["x"]} | plant
+    return write(folder, study_text(plant=section, reference={"x": 1.0}))
 
 
 def invoke(*arguments: str) -> Any:
@@ -47,21 +31,16 @@ def invoke(*arguments: str) -> Any:
 def test_a_study_runs_on_an_fmu_of_any_version(tmp_path: Path, version: str) -> None:
     settings = {"interfaces": "CoSimulation"} if version == "1.0" else {}
     fmu = model_fmu(tmp_path, version, "lag", **settings)
-    plant = 'parameters = { rate = 2, x = 0.25, name = "abc" }'
-    study = write_study(tmp_path, fmu, plant)
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    study = write_study(tmp_path, fmu, parameters={"rate": 2, "x": 0.25, "name": "abc"})
+    (case,) = run_file(study).cases
     assert case.trace().y[0] == 0.25
     assert case.trace().provenance["fmi_version"] == f"{version} Co-Simulation"
 
 
 def test_model_exchange_is_chosen_by_a_study(tmp_path: Path) -> None:
     fmu = model_fmu(tmp_path, "2.0", "lag")
-    study = write_study(tmp_path, fmu, 'fmi_type = "model-exchange"')
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    study = write_study(tmp_path, fmu, fmi_type="model-exchange")
+    (case,) = run_file(study).cases
     assert case.trace().provenance["fmi_version"] == "2.0 Model Exchange"
 
 
@@ -72,10 +51,8 @@ def test_a_display_unit_reaches_the_results(tmp_path: Path) -> None:
     )
     text = text.replace('initial="exact"><Real start="0"/>', 'initial="exact"><Real start="0" unit="rad"/>')
     fmu = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
-    study = write_study(tmp_path, fmu, 'display_units = { x = "deg" }')
-    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
-    assert result.exit_code == 0, result.output
-    (case,) = load_results(tmp_path / "out").cases
+    study = write_study(tmp_path, fmu, display_units={"x": "deg"})
+    (case,) = run_file(study).cases
     (x,) = case.trace().outputs
     assert (x.unit, x.shown_in.name) == ("rad", "deg")
     assert "[deg" in (tmp_path / "out" / "metrics.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -83,8 +60,8 @@ def test_a_display_unit_reaches_the_results(tmp_path: Path) -> None:
 
 def test_faults_of_the_plant_section_are_told_with_their_place(tmp_path: Path) -> None:
     fmu = model_fmu(tmp_path, "2.0", "lag")
-    plant = 'display_units = { y = "deg" }\nparameters = { rat = 1.0 }'
-    result = invoke("run", str(write_study(tmp_path, fmu, plant)))
+    study = write_study(tmp_path, fmu, display_units={"y": "deg"}, parameters={"rat": 1.0})
+    result = invoke("run", str(study))
     assert result.exit_code == 2
     assert "plant.display_units" in result.stderr
     assert "plant.parameters" in result.stderr

@@ -1,7 +1,6 @@
 """FMUs that change how the process computes: no figure of a controller or a metric is another one for it."""
 
 import ctypes
-import io
 import platform
 import warnings
 from collections.abc import Iterator
@@ -12,13 +11,11 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from fmus.builder import Fault, library_name, model_fmu, model_library, write_archive
+from studies import run_file, study_text, write
 
 from ddpc_cosim import Action, Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, Trace, cosimulate
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, departures
 from ddpc_cosim.study.case_files import read_run, read_trace
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 
 from .loop import FAULT_TIME, H
 
@@ -138,26 +135,14 @@ def test_fast_math(isolated: bool, fast_math_fmu: Path, faulty_fmus: dict[int, P
 
 def test_in_a_study(fast_math_fmu: Path, faulty_fmus: dict[int, Path], tmp_path: Path) -> None:
     """In the workers that run it: the same figures, and a warning in what is known of the plant."""
-    text = """
-[plant]
-fmu = "{}"
-outputs = ["y"]
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-y = {{ kind = "constant", value = 1e-310 }}
-[controllers.pid]
-type = "pid"
-settings = {{ proportional = 0.3 }}
-"""
     traces = {}
     for path in (fast_math_fmu, faulty_fmus[2]):
-        study = tmp_path / f"{path.stem}.toml"
-        study.write_text(text.format(path.as_posix()), encoding="utf-8")
-        results = run_study(
-            read_study(str(study)), tmp_path / path.stem, Selection(), LineProgress(io.StringIO())
+        text = study_text(
+            plant={"fmu": str(path), "outputs": ["y"]},
+            reference={"y": 1e-310},
+            controllers={"pid": {"type": "pid", "settings": {"proportional": 0.3}}},
         )
+        results = run_file(write(tmp_path, text), path.stem)
         (case,) = results.cases
         traces[path.stem] = read_trace(case.folder)
         told = read_run(case.folder)["provenance"].get("fmu_warnings", "")

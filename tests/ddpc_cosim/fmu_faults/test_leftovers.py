@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from fmus.builder import Fault
+from studies import study_text, write
 
 from ddpc_cosim.processes.scratch import remove_left_behind
 
@@ -31,20 +32,6 @@ while True:
     plant.step(np.ones(1), 0.1)
     print("stepped", flush=True)
     sys.stdin.readline()
-"""
-
-STUDY = """
-[plant]
-fmu = "{fmu}"
-isolated = {isolated}
-parameters = {{ fault = {fault} }}
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-y = {{ kind = "constant", value = 1.0 }}
-[controllers.mfapc]
-type = "mfapc"
 """
 
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -160,8 +147,8 @@ class TestAStudy:
     @pytest.fixture
     def run(self, start: Start, faulty_fmus: dict[int, Path], tmp_path: Path) -> "subprocess.Popen[str]":
         """``ddpc-cosim run`` of an isolated FMU that hangs in its first step."""
-        study = STUDY.format(fmu=faulty_fmus[2].as_posix(), isolated='"auto"', fault=int(Fault.HANG_IN_STEP))
-        (tmp_path / "study.toml").write_text(study, encoding="utf-8")
+        plant = {"fmu": str(faulty_fmus[2]), "parameters": {"fault": int(Fault.HANG_IN_STEP)}}
+        write(tmp_path, study_text(plant=plant | {"isolated": "auto"}, reference={"y": 1.0}))
         program = Path(sys.executable).with_name("ddpc-cosim")
         return start(str(program), "run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
 

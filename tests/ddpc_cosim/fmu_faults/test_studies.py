@@ -2,40 +2,23 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fmus.builder import Fault
+from studies import cases_in, study_text, write
 
 from ddpc_cosim import ConfigError, Outcome, Trace
 from ddpc_cosim.codec import read
 from ddpc_cosim.study.case_files import read_trace
-from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Update, run_cases
 
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
 
-STUDY = """
-[plant]
-fmu = "{fmu}"
-parameters = {{ fault = {fault}, fault_time = {time} }}
-[loop]
-sampling_time = 0.1
-duration = 1.0
-step_timeout = {timeout}
-[reference]
-y = {{ kind = "constant", value = 1.0 }}
-[controllers.it]
-type = "{controller}"
-"""
-RECORDING = """
-[recording]
-samples = 60
-excitation.u = { low = -1.0, high = 1.0 }
-"""
+RECORDING = {"samples": 60, "excitation": {"u": {"low": -1.0, "high": 1.0}}}
 
 Run = Callable[..., Trace]
 
@@ -46,18 +29,15 @@ pytestmark = pytest.mark.usefixtures("nothing_left")
 def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
     """Run the only case of a study of the misbehaving FMU."""
 
-    def run_fault(fault: Fault, *, controller: str = "mfapc", timeout: float = 20.0, more: str = "") -> Trace:
-        text = STUDY.format(
-            fmu=faulty_fmus[2].as_posix(),
-            timeout=timeout,
-            fault=int(fault),
-            time=FAULT_TIME,
-            controller=controller,
+    def run_fault(fault: Fault, *, controller: str = "mfapc", timeout: float = 20.0, **tables: Any) -> Trace:
+        text = study_text(
+            plant={"fmu": str(faulty_fmus[2]), "parameters": {"fault": int(fault), "fault_time": FAULT_TIME}},
+            reference={"y": 1.0},
+            controllers={"it": controller},
+            loop={"step_timeout": timeout},
+            **tables,
         )
-        path = tmp_path / "study.toml"
-        path.write_text(text + more, encoding="utf-8")
-        resolved = read_study(str(path)).problem
-        cases = cases_of(resolved, resolved.plant.built())
+        cases = cases_in(write(tmp_path, text))
 
         def watch(update: Update) -> None:
             assert not (tmp_path / cases[0].id).exists(), "what is over runs no more"
@@ -99,7 +79,7 @@ def test_a_status_that_the_standard_does_not_know(run: Run) -> None:
 
 
 def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
-    trace = run(Fault.RETURN_NAN, controller="deepc", more=RECORDING)
+    trace = run(Fault.RETURN_NAN, controller="deepc", recording=RECORDING)
     assert trace.outcome is Outcome.DIVERGED
     assert "during the open-loop experiment" in trace.reason
     assert "output y is nan" in trace.reason
@@ -110,7 +90,7 @@ def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
     [(Fault.RETURN_ERROR, Outcome.FMU_ERROR), (Fault.ASK_TO_TERMINATE, Outcome.TERMINATED)],
 )
 def test_a_fault_while_the_plant_is_recorded(fault: Fault, outcome: Outcome, run: Run) -> None:
-    trace = run(fault, controller="deepc", more=RECORDING)
+    trace = run(fault, controller="deepc", recording=RECORDING)
     assert trace.outcome is outcome
     assert trace.reason.startswith("before the first sample: ")
     assert trace.reason.endswith(", during the experiment")

@@ -8,23 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from fmus.builder import CO_SIMULATION, GAINED, LAG, Fault, describe, model_library, write_archive, write_fmu
+from studies import study_text, write
 
 from ddpc_cosim import FMUImportError, FMUPlant, load_results
 from ddpc_cosim.cli.main import main
 
 SECRET = "the key that opens everything"
 SOURCES = ("models.c", "front2.c", "models.h")
-STUDY = """
-[plant]
-fmu = "lag.fmu"
-[loop]
-sampling_time = 0.1
-duration = 1.0
-[reference]
-x = { kind = "constant", value = 1.0 }
-[controllers.pid]
-type = "pid"
-"""
 INTERFACE = (
     '<CoSimulation modelIdentifier="models" canHandleVariableCommunicationStepSize="true"><SourceFiles>'
     "{}</SourceFiles></CoSimulation>"
@@ -36,7 +26,7 @@ COMPILED = "ignore:.*compiled from the FMU's C sources"
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, study_text(plant={"fmu": "lag.fmu"}, reference={"x": 1.0}, controllers=["pid"]))
     return tmp_path / "cache"
 
 
@@ -152,8 +142,8 @@ def test_the_cache_is_not_read(tmp_path: Path, cache: Path, monkeypatch: pytest.
     library = f"binaries/{fmpy.platform}/models.so"
     files = {library: model_library("2.0", complete=True), "modelDescription.xml": description.encode()}
     write_archive(tmp_path / "lag.fmu", files)
-    study = STUDY.replace("x = {", "y = {").replace("[loop]", 'outputs = ["y"]\n[loop]')
-    (tmp_path / "study.toml").write_text(study, encoding="utf-8")
+    plant = {"fmu": "lag.fmu", "outputs": ["y"]}
+    write(tmp_path, study_text(plant=plant, reference={"y": 1.0}, controllers=["pid"]))
     result = run("run", "study.toml", "--no-report", "--out", "out", "--sandbox")
     assert result.exit_code == 1, result.output
     (case,) = load_results(tmp_path / "out").cases

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from studies import run_file
 
 from ddpc_cosim import ConfigError, Study
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.studies import __file__ as built_in
 from ddpc_cosim.study.reading import read_file, read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
-from ddpc_cosim.study.runner import Selection, run_study, selected_cases
+from ddpc_cosim.study.runner import Selection, selected_cases
 from ddpc_cosim.study.running.dry_run import expected
 
 BASE = """
@@ -105,15 +106,14 @@ def test_all_is_taken_and_one_table_joins(folder: Path) -> None:
 
 
 def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: Path) -> None:
-    progress, out = LineProgress(io.StringIO()), folder / "out"
-    run_study(read_study(str(folder / "below" / "base.toml")), out, Selection(seeds=[1]), progress)
+    out = folder / "out"
+    run_file(folder / "below" / "base.toml", out, seeds=[1])
     before = {path.name: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     resolved = read(folder, MINE, "pendulum.toml")
-    selection = Selection(seeds=[1])
-    assert expected(resolved, out, selection, progress).startswith(
+    assert expected(resolved, out, Selection(seeds=[1]), LineProgress(io.StringIO())).startswith(
         "9 cases and 3 runs of doing nothing: 3 to run, 9 already there"
     )
-    results = run_study(resolved, out, selection, progress)
+    results = run_file(folder / "pendulum.toml", out, seeds=[1])
     after = {path.name: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert {name: after[name] for name in before} == before
     assert (len(results.cases), len(after)) == (9, 12)
@@ -122,9 +122,11 @@ def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: P
         (MINE, "other.toml"),
         ('extends = "pendulum.toml"', "a.toml"),
     ):
-        assert len(run_study(read(folder, text, name), out, selection, progress).cases) in (6, 9)
+        (folder / name).write_text(text, encoding="utf-8")
+        assert len(run_file(folder / name, out, seeds=[1]).cases) in (6, 9)
+    (folder / "below" / "alone.toml").write_text(BASE, encoding="utf-8")
     with pytest.raises(ConfigError, match=r'another study .*this one has name = "alone"'):
-        run_study(read(folder, BASE, "below/alone.toml"), out, selection, progress)
+        run_file(folder / "below" / "alone.toml", out, seeds=[1])
 
 
 @pytest.mark.parametrize("path", sorted(Path(built_in).parent.glob("*.toml")), ids=lambda path: path.stem)

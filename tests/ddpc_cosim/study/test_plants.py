@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studies import cases_in, study_text, write
 
 from ddpc_cosim import (
     ConfigError,
@@ -20,9 +21,8 @@ from ddpc_cosim import (
     Variable,
     load_results,
 )
-from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.cases import Case, run_case
 from ddpc_cosim.study.plants import PythonPlant
-from ddpc_cosim.study.reading import read_study
 
 Run = Callable[..., CompletedProcess[str]]
 
@@ -85,26 +85,18 @@ class Clinging(Second):
             raise OSError("busy")
 '''
 
-STUDY = """
-[plant]
-name = "lags:{plant}"
-inputs = {inputs}
-outputs = ["z"]
-display_units = {{ z = "deg" }}
-[loop]
-sampling_time = 0.5
-duration = 1.0
-[reference]
-z = {{ kind = "constant", value = 1.0 }}
-[controllers.half]
-type = "lags:Half"
-"""
 
-
-def run(run_program: Run, folder: Path, plant: str, inputs: str = '["b"]') -> Any:
+def run(run_program: Run, folder: Path, plant: str, *inputs: str) -> Any:
     """Run the study of a plant and return its only case."""
     (folder / "lags.py").write_text(MODULE, encoding="utf-8")
-    (folder / "study.toml").write_text(STUDY.format(plant=plant, inputs=inputs), encoding="utf-8")
+    signals = {"inputs": inputs, "outputs": ["z"], "display_units": {"z": "deg"}}
+    text = study_text(
+        plant={"name": f"lags:{plant}"} | signals,
+        reference={"z": 1.0},
+        controllers=["lags:Half"],
+        loop={"sampling_time": 0.5},
+    )
+    write(folder, text)
     done = run_program("run", "study.toml", "--no-report", "--jobs", "1", "--out", "out")
     assert "Traceback" not in done.stderr
     (case,) = load_results(folder / "out").cases
@@ -115,7 +107,7 @@ def run(run_program: Run, folder: Path, plant: str, inputs: str = '["b"]') -> An
 def test_inputs_that_a_study_does_not_drive_rest_at_their_start_values(
     plant: str, run_program: Run, tmp_path: Path
 ) -> None:
-    trace = run(run_program, tmp_path, plant).trace()
+    trace = run(run_program, tmp_path, plant, "b").trace()
     assert [v.name for v in trace.inputs] == ["b"]
     assert np.array_equal(trace.u[:, 0], [0.5, 0.5, 0.5])
     assert np.array_equal(trace.y[:, 0], [0.0, 0.25, 0.375])
@@ -134,7 +126,7 @@ def test_inputs_that_a_study_does_not_drive_rest_at_their_start_values(
 def test_a_plant_that_fails_costs_its_case_a_result_and_no_samples(
     plant: str, samples: int, reason: str, run_program: Run, tmp_path: Path
 ) -> None:
-    case = run(run_program, tmp_path, plant, inputs='["b", "a"]')
+    case = run(run_program, tmp_path, plant, "b", "a")
     assert (case.outcome, case.reason) == ("crashed", reason)
     assert len(case.trace()) == samples
 
@@ -206,10 +198,7 @@ class Probe(Controller):
 
 
 def case_of(folder: Path, plant: str = "") -> Case:
-    path = folder / "study.toml"
-    path.write_text(NOMINAL_STUDY.format(plant=plant), encoding="utf-8")
-    resolved = read_study(str(path)).problem
-    (case,) = cases_of(resolved, resolved.plant.built())
+    (case,) = cases_in(write(folder, NOMINAL_STUDY.format(plant=plant)))
     return case
 
 

@@ -1,20 +1,17 @@
 """Plants in files: ``name = "tank.py:MODEL"``, relative to the study, in Python relative to where one is."""
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import cases_in, run_file
 
 from ddpc_controllers import NMPC, PID
 from ddpc_cosim import ConfigError, Constant, PluginError, Problem, Study, simulate
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import StudyResults
-from ddpc_cosim.study.runner import Selection, run_study
 
 TANK = """
 import numpy as np
@@ -86,11 +83,6 @@ def write_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> WriteFolder
     return write
 
 
-def run(study: Path) -> StudyResults:
-    progress = LineProgress(io.StringIO())
-    return run_study(read_study(str(study)), study.parent / "out", Selection(), progress)
-
-
 def level(results: StudyResults) -> list[float]:
     (case,) = [case for case in results.cases if case.controller == "pid"]
     assert case.outcome == "completed", case.reason
@@ -99,14 +91,14 @@ def level(results: StudyResults) -> list[float]:
 
 def test_equations_and_classes_run(write_folder: WriteFolder) -> None:
     """They are relative to the study file, and import what is beside them; the equations are exact."""
-    exact = level(run(write_folder("equations")))
+    exact = level(run_file(write_folder("equations")))
     assert exact[1] == pytest.approx((1 - np.exp(-0.05)) / 0.5, rel=1e-4)
-    assert level(run(write_folder("classes", 'name = "models/tank.py:Tank"')))[1] == pytest.approx(0.1)
+    assert level(run_file(write_folder("classes", 'name = "models/tank.py:Tank"')))[1] == pytest.approx(0.1)
 
 
 def test_parts_of_a_coupled_plant_may_be_in_files(write_folder: WriteFolder) -> None:
     study = write_folder(plant='parts = [{ name = "one", plant = "models/tank.py:Tank" }]', part="one.")
-    assert level(run(study))[1] == pytest.approx(0.1)
+    assert level(run_file(study))[1] == pytest.approx(0.1)
 
 
 def test_a_problem_of_another_folder_has_its_plant_there(write_folder: WriteFolder) -> None:
@@ -121,17 +113,13 @@ def test_a_problem_of_another_folder_has_its_plant_there(write_folder: WriteFold
 
 
 def test_the_resolved_study_can_be_run_from_anywhere(write_folder: WriteFolder, tmp_path: Path) -> None:
-    first = run(write_folder())
-    again = read_study(str(first.folder / "study.toml"))
-    assert [case.id for case in first.cases] == [
-        case.id for case in cases_of(again.problem, again.problem.plant.built())
-    ]
+    first = run_file(write_folder())
+    assert [case.id for case in first.cases] == ids(first.folder / "study.toml")
     assert first.study.plant.label == "tank.py:MODEL"
 
 
 def ids(study: Path) -> list[str]:
-    resolved = read_study(str(study)).problem
-    return [case.id for case in cases_of(resolved, resolved.plant.built())]
+    return [case.id for case in cases_in(study)]
 
 
 @pytest.mark.parametrize("what", ["MODEL", "Tank"])

@@ -1,21 +1,19 @@
 """Studies of several problems: what each becomes, how it is written, and every fault with its line."""
 
 import csv
-import io
 import shutil
 from pathlib import Path
 
 import pytest
 import tomli_w
+from studies import run_file, write
 
-from ddpc_cosim import ConfigError, StudyResults
-from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim import ConfigError
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.results import load_results
-from ddpc_cosim.study.runner import Selection, run_study
 
 TWO = """
 name = "both"
@@ -67,10 +65,6 @@ def faults(folder: Path, text: str) -> list[str]:
     with pytest.raises(ConfigError) as caught:
         read(folder, text)
     return list(caught.value.faults)
-
-
-def run(folder: Path, text: str, only: str = "*") -> StudyResults:
-    return run_study(read(folder, text), folder / "out", Selection(only=only), LineProgress(io.StringIO()))
 
 
 def test_each_problem_is_a_study_with_what_differs_there(tmp_path: Path) -> None:
@@ -239,7 +233,7 @@ def test_reference_points_are_two_controllers_of_every_problem(tmp_path: Path) -
 
 
 def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -> None:
-    results = run(tmp_path, TWO)
+    results = run_file(write(tmp_path, TWO))
     names = [case.id.rpartition("_")[0] for case in results.cases]
     assert names == [
         *(f"pendulum_mfapc_seed{seed}" for seed in (1, 2)),
@@ -266,7 +260,7 @@ def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -
     shutil.rmtree(results.cases[3].folder)
     again = load_results(tmp_path / "out").problems()
     assert [len(one.damaged) for one in again] == [0, 1]
-    rerun = run(tmp_path, TWO)
+    rerun = run_file(write(tmp_path, TWO))
     changed = [old != case.folder.stat().st_mtime_ns for old, case in zip(times, rerun.cases, strict=True)]
     assert [i for i, is_new in enumerate(changed) if is_new] == [3]
 
@@ -284,11 +278,12 @@ def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -
     ],
 )
 def test_a_pattern_chooses_by_names_and_labels(tmp_path: Path, only: str, count: int) -> None:
+    study = write(tmp_path, TWO)
     if count:
-        assert len(run(tmp_path, TWO, only).cases) == count
+        assert len(run_file(study, only=only).cases) == count
     else:
         with pytest.raises(ConfigError, match="--only no: no case matches; "):
-            run(tmp_path, TWO, only)
+            run_file(study, only=only)
 
 
 @pytest.mark.parametrize(
@@ -310,7 +305,7 @@ def test_a_plant_of_which_no_case_is_left_is_not_built(
         return build(plant)
 
     monkeypatch.setattr(PlantSpec, "built", noted)
-    results = run(tmp_path, TWO, only)
+    results = run_file(write(tmp_path, TWO), only=only)
     assert built == plants
     assert {case.problem for case in results.cases} == {
         {"pendulum": "pendulum", "van-der-pol": "oscillator"}[plant] for plant in plants
@@ -319,7 +314,7 @@ def test_a_plant_of_which_no_case_is_left_is_not_built(
 
 def test_a_flat_file_is_a_study_of_one_problem_that_has_its_name(tmp_path: Path) -> None:
     (tmp_path / "wind.csv").write_text("time,torque\n0,0\n1,1\n", encoding="utf-8")
-    results = run(tmp_path, FLAT)
+    results = run_file(write(tmp_path, FLAT))
     assert results.problems() == (results,)
     assert [(case.problem, case.id.rpartition("_")[0]) for case in results.cases] == [
         ("study", "mfapc_windy_seed0")

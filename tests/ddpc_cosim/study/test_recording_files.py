@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import cases_in, write
 
 from ddpc_cosim import (
     ConfigError,
@@ -17,7 +18,7 @@ from ddpc_cosim import (
     Variable,
     record,
 )
-from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.cases import Case, run_case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.variables import names
 
@@ -51,10 +52,7 @@ ONE = 'controllers.deepc.type = "deepc"\n'
 
 
 def cases(folder: Path, text: str) -> dict[str, Case]:
-    study = folder / "study.toml"
-    study.write_text(text, encoding="utf-8")
-    resolved = read_study(str(study)).problem
-    return {case.controller: case for case in cases_of(resolved, resolved.plant.built())}
+    return {case.controller: case for case in cases_in(write(folder, text))}
 
 
 @pytest.fixture(scope="module")
@@ -242,12 +240,9 @@ controllers.mfapc.type = "mfapc"
 
 
 def excitation(folder: Path, text: str, seed: int = 3) -> FloatArray:
-    study = folder / "study.toml"
-    study.write_text(TANKS + text, encoding="utf-8")
-    resolved = read_study(str(study)).problem
-    case = next(case for case in cases_of(resolved, resolved.plant.built()) if case.seed == seed)
+    case = next(case for case in cases_in(write(folder, TANKS + text)) if case.seed == seed)
     assert case.excitation is not None
-    return case.excitation.with_seed(case.seed).draw(len(resolved.inputs))
+    return case.excitation.with_seed(case.seed).draw(len(case.inputs))
 
 
 def test_inputs_can_be_excited_each_in_its_way(tmp_path: Path) -> None:
@@ -314,7 +309,6 @@ def test_all_that_is_wrong_with_an_excitation(tmp_path: Path) -> None:
 
 
 def test_a_scenario_can_excite_in_another_way(tmp_path: Path) -> None:
-    study = tmp_path / "study.toml"
     text = (
         TANKS
         + """
@@ -327,11 +321,10 @@ excitation.pump_2 = { low = 2.0, high = 4.0 }
 recording.excitation.pump_2 = { kind = "prbs", low = 2.5, high = 3.5 }
 """
     )
-    study.write_text(text, encoding="utf-8")
-    resolved = read_study(str(study)).problem
+    study = write(tmp_path, text)
     drawn = {
         case.scenario: case.excitation.with_seed(3).draw(2)
-        for case in cases_of(resolved, resolved.plant.built())
+        for case in cases_in(study)
         if case.excitation is not None and case.seed == 3
     }
     assert np.array_equal(drawn["uniform"], UniformRandom(2.0, 4.0, 40, 3).draw(2))

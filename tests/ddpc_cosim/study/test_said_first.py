@@ -7,34 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import studies
 from click.testing import CliRunner
+from studies import study_text
 
 from ddpc_controllers import PID
 from ddpc_cosim import ConfigError, CosimWarning, FMUPlant, MissingLibraryError, Problem, Steps, Study
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.processes import limits
 from ddpc_cosim.study.reading import read_study
-
-PENDULUM = """
-name = "first"
-SEEDS
-[plant]
-name = "pendulum"
-inputs = ["torque"]
-outputs = ["angle"]
-[loop]
-sampling_time = 0.1
-duration = 2.0
-[reference.angle]
-kind = "steps"
-times = [0.0, 0.2]
-values = [20.0, -100.0]
-unit = "deg"
-[bounds]
-angle = { min = MIN, max = 170.0, unit = "deg" }
-[controllers.mfapc]
-type = "mfapc"
-"""
 
 LACKING = """
 from dataclasses import dataclass
@@ -66,8 +47,10 @@ ONE = '[controllers.one]\ntype = "lacking:Lacking"\n'
 TWO = '[controllers.two]\ntype = "lacking:Around"\nsettings.inner = { type = "lacking:Lacking" }\n'
 
 
-def study(seeds: str = "", lowest: float = -170.0) -> str:
-    return PENDULUM.replace("SEEDS", seeds).replace("MIN", f"{lowest}")
+def study(seeds: str = "", lowest: float = -170.0, **loop: float) -> str:
+    steps = {"kind": "steps", "times": [0.0, 0.2], "values": [20.0, -100.0], "unit": "deg"}
+    bounds = {"angle": {"min": lowest, "max": 170.0, "unit": "deg"}}
+    return f"{seeds}\n{study_text(reference={'angle': steps}, loop={'duration': 2.0} | loop, bounds=bounds)}"
 
 
 @pytest.fixture
@@ -76,8 +59,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], st
     (tmp_path / "lacking.py").write_text(LACKING, encoding="utf-8")
 
     def write(text: str) -> str:
-        (tmp_path / "study.toml").write_text(text, encoding="utf-8")
-        return "study.toml"
+        return studies.write(tmp_path, text).name
 
     return write
 
@@ -153,7 +135,7 @@ def test_where_nobody_can_run_without_it_nothing_is_run(
 def test_a_limit_of_memory_that_is_not_looked_at_is_told(
     write: Callable[[str], str], pendulum_fmu: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    limited = study().replace("[loop]", "[loop]\nmemory_limit = 1.5")
+    limited = study(memory_limit=1.5)
     assert not said(write(limited))
     monkeypatch.setattr(limits, "_IS_LOOKED_AT", False)
     monkeypatch.setattr(platform, "system", lambda: "Darwin")

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmus.builder import Fault
+from studies import cases_in, run_file, write
 
 from ddpc_cosim import CaseResult, Conditions, ConfigError, Constant, FMUPlant, Outcome, Trace
-from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import build_fmu
 from fmu_plants.quadruple_tank import MODEL
 
@@ -47,23 +46,13 @@ loss = { level_1 = 0.3 }
 TIME = 5.0 * np.arange(21)
 
 
-class Silent:
-    """Someone who does not look."""
-
-    def __getattr__(self, name: str) -> Callable[..., None]:
-        return lambda *_: None
-
-
 def study_file(folder: Path, text: str) -> str:
     (folder / "pump.csv").write_text("time [min],p [mV]\n0,3000\n1,2400\n2,3400\n", encoding="utf-8")
-    path = folder / "study.toml"
-    path.write_text(text, encoding="utf-8")
-    return str(path)
+    return str(write(folder, text))
 
 
 def results_of(folder: Path, text: str) -> dict[str, CaseResult]:
-    results = run_study(read_study(study_file(folder, text)), folder / "out", Selection(), Silent())
-    return {case.scenario: case for case in results.cases}
+    return {case.scenario: case for case in run_file(study_file(folder, text)).cases}
 
 
 @pytest.fixture(scope="module")
@@ -147,13 +136,11 @@ def test_what_is_added_converts_without_the_offset_of_its_unit(
 
 
 def test_cases_of_scenarios_differ_by_their_conditions_alone(tmp_path: Path) -> None:
-    resolved = read_study(study_file(tmp_path, TANK + HARD)).problem
-    calm, hard = cases_of(resolved, resolved.plant.built())
+    calm, hard = cases_in(study_file(tmp_path, TANK + HARD))
     assert calm.conditions == Conditions()
     assert calm.id.split("_")[-1] != hard.id.split("_")[-1]
     text = (TANK + HARD).replace("loss = { level_1 = 0.3 }", "loss = { level_1 = 0.4 }")
-    resolved = read_study(study_file(tmp_path, text)).problem
-    again = cases_of(resolved, resolved.plant.built())
+    again = cases_in(study_file(tmp_path, text))
     assert [case.id == old.id for case, old in zip(again, (calm, hard), strict=True)] == [True, False]
 
 
@@ -333,13 +320,9 @@ def test_a_supplied_fmu_too_has_inputs_with_signals_of_their_own(tmp_path: Path)
 
 
 def test_what_was_given_to_an_fmu_before_it_crashed_is_kept(write_study: Callable[..., Path]) -> None:
-    path = write_study("mfac", fault=Fault.SEGMENTATION_FAULT)
-    scenario = """
-    [scenarios.gust]
-    disturbances.u = { kind = "constant", value = 0.25 }
-    """
-    path.write_text(path.read_text(encoding="utf-8") + scenario, encoding="utf-8")
-    (case,) = run_study(read_study(str(path)), path.parent / "out", Selection(), Silent()).cases
+    gust = {"disturbances": {"u": {"kind": "constant", "value": 0.25}}}
+    path = write_study("mfac", fault=Fault.SEGMENTATION_FAULT, scenarios={"gust": gust})
+    (case,) = run_file(path).cases
     trace = case.trace()
     assert trace.outcome is Outcome.CRASHED
     assert len(trace) > 3

@@ -3,10 +3,11 @@
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from studies import PENDULUM, cases_in, run_file, study_text, write
 
 from ddpc_cosim import (
     ConfigError,
@@ -19,24 +20,7 @@ from ddpc_cosim import (
     check_settings,
     setting,
 )
-from ddpc_cosim.cli.main import main
-from ddpc_cosim.study.cases import Case, cases_of, run_case
-from ddpc_cosim.study.reading import read_study
-
-STUDY = """
-[plant]
-name = "{plant}"
-inputs = ["{input}"]
-outputs = ["{output}"]
-[loop]
-sampling_time = 0.1
-duration = 0.5
-[reference]
-{output} = {{ kind = "constant", value = 0.0 }}
-[controllers.held]
-type = "tests.ddpc_cosim.study.test_setting_files:Held"
-settings = {{ {settings} }}
-"""
+from ddpc_cosim.study.cases import Case, run_case
 
 
 @dataclass(kw_only=True)
@@ -80,14 +64,16 @@ class Line(Plant):
         return np.array(u)
 
 
-def case_of(folder: Path, settings: str = "", plant: str = "pendulum") -> Case:
-    inputs, outputs = {"pendulum": ("torque", "angle")}.get(plant, ("u", "y"))
-    path = folder / "study.toml"
-    path.write_text(
-        STUDY.format(plant=plant, input=inputs, output=outputs, settings=settings), encoding="utf-8"
+def case_of(folder: Path, plant: dict[str, Any] = PENDULUM, **settings: Any) -> Case:
+    text = study_text(
+        plant=plant,
+        reference={plant["outputs"][0]: 0.0},
+        controllers={
+            "held": {"type": "tests.ddpc_cosim.study.test_setting_files:Held", "settings": settings}
+        },
+        loop={"duration": 0.5},
     )
-    resolved = read_study(str(path)).problem
-    (case,) = cases_of(resolved, resolved.plant.built())
+    (case,) = cases_in(write(folder, text))
     return case
 
 
@@ -103,12 +89,8 @@ def numbers(tmp_path: Path) -> Path:
 def test_paths_are_relative_to_the_study(
     tmp_path: Path, numbers: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kind, absolute = "tests.ddpc_cosim.study.test_setting_files:Source", numbers / "two.txt"
-    settings = (
-        'source = { path = "numbers and words/one.txt" }, '
-        f"others = [{{ type = '{kind}', path = '{absolute}' }}]"
-    )
-    case = case_of(tmp_path, settings)
+    other = {"type": "tests.ddpc_cosim.study.test_setting_files:Source", "path": str(numbers / "two.txt")}
+    case = case_of(tmp_path, source={"path": "numbers and words/one.txt"}, others=[other])
     monkeypatch.chdir(numbers)
     trace = run_case(case)
     assert trace.outcome is Outcome.COMPLETED, trace.reason
@@ -121,7 +103,7 @@ def test_the_plant_of_the_study_can_be_named_without_its_path(tmp_path: Path) ->
 
 def test_the_content_decides_the_case(tmp_path: Path, numbers: Path) -> None:
     def case_id() -> str:
-        return case_of(tmp_path, 'source = { path = "numbers and words/one.txt" }').id
+        return case_of(tmp_path, source={"path": "numbers and words/one.txt"}).id
 
     before = case_id()
     assert case_id() == before
@@ -130,12 +112,9 @@ def test_the_content_decides_the_case(tmp_path: Path, numbers: Path) -> None:
 
 
 def test_the_resolved_study_says_where_the_file_is(tmp_path: Path, numbers: Path) -> None:
-    case_of(tmp_path, 'source = { path = "numbers and words/one.txt" }')
+    case_of(tmp_path, source={"path": "numbers and words/one.txt"})
     out = tmp_path / "elsewhere" / "out"
-    result = CliRunner().invoke(
-        main, ["run", str(tmp_path / "study.toml"), "--out", str(out), "--jobs", "1", "--no-report"]
-    )
-    assert result.exit_code == 0, result.output
+    run_file(tmp_path / "study.toml", out)
     resolved = tomllib.loads((out / "study.toml").read_text(encoding="utf-8"))
     named = resolved["controllers"]["held"]["settings"]["source"]["path"]
     assert Path(named) == (numbers / "one.txt").resolve()
@@ -143,9 +122,16 @@ def test_the_resolved_study_says_where_the_file_is(tmp_path: Path, numbers: Path
 
 def test_files_that_are_not_there_are_faults_of_the_study(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"controllers\.held\.settings: .*none\.txt: no such file"):
-        case_of(tmp_path, 'source = { path = "none.txt" }')
+        case_of(tmp_path, source={"path": "none.txt"})
 
 
 def test_a_python_plant_has_no_fmu_to_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r'"\{plant\}" stands for the FMU of the plant, which is a Python'):
-        case_of(tmp_path, plant="tests.ddpc_cosim.study.test_setting_files:Line")
+        case_of(
+            tmp_path,
+            plant={
+                "name": "tests.ddpc_cosim.study.test_setting_files:Line",
+                "inputs": ["u"],
+                "outputs": ["y"],
+            },
+        )

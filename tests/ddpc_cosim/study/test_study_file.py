@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from studies import write
 
 from ddpc_cosim import (
     PRBS,
@@ -50,15 +51,11 @@ type = "mfapc"
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    path = tmp_path / "my study.toml"
-    path.write_text(SMALL, encoding="utf-8")
-    return path
+    return write(tmp_path, SMALL, "my study.toml")
 
 
 def cases(text: str, folder: Path) -> list[Case]:
-    path = folder / "study.toml"
-    path.write_text(text, encoding="utf-8")
-    return cases_of(read_study(str(path)).problem, TARGET)
+    return cases_of(read_study(str(write(folder, text))).problem, TARGET)
 
 
 def test_a_scenario_s_preview_stands_in_place_of_the_loop_s(tmp_path: Path) -> None:

@@ -1,21 +1,19 @@
 """A study's sweep: anything in it by its path, ranges, values taken together, and what can be wrong."""
 
 import csv
-import io
 import math
 import re
 from pathlib import Path
 
 import pytest
+from studies import run_file, write
 
 from ddpc_cosim import ConfigError
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.file_format.sweeps import combinations, swept_values
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.results import load_results
-from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_reports.page import render_page
 
 FLAT = """
@@ -53,8 +51,7 @@ problems.b.study = "flat.toml"
 
 def read(folder: Path, text: str) -> ResolvedProblems:
     (folder / "flat.toml").write_text(FLAT, encoding="utf-8")
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    return read_study(str(folder / "study.toml"))
+    return read_study(str(write(folder, text)))
 
 
 def faults(folder: Path, sweep: str, text: str = FLAT) -> list[str]:
@@ -94,8 +91,7 @@ def test_a_problem_may_be_varied_alone_and_the_written_study_is_the_same(tmp_pat
 
 def test_variants_are_run_beside_the_study_whose_own_cases_are_kept(tmp_path: Path) -> None:
     def run(text: str) -> list[dict[str, str]]:
-        resolved = read(tmp_path, text)
-        results = run_study(resolved, tmp_path / "out", Selection(), LineProgress(io.StringIO()))
+        results = run_file(write(tmp_path, text))
         assert load_results(tmp_path / "out").whole == results.whole
         with (tmp_path / "out" / "metrics.csv").open(newline="") as file:
             return list(csv.DictReader(file))
@@ -185,8 +181,7 @@ def test_a_controller_s_sweep_has_ranges_and_values_together_too(tmp_path: Path)
 
 
 def test_the_report_has_a_row_for_each_variant_and_a_part_for_the_study_itself(tmp_path: Path) -> None:
-    resolved = read(tmp_path, FLAT + '[[sweep]]\n"plant.parameters.mass" = [0.3, 0.4]\n')
-    results = run_study(resolved, tmp_path / "out", Selection(), LineProgress(io.StringIO()))
+    results = run_file(write(tmp_path, FLAT + '[[sweep]]\n"plant.parameters.mass" = [0.3, 0.4]\n'))
     (own,) = results.problems()
     assert (own.study.name, {case.problem for case in own.cases}) == ("swing", {"swing"})
     assert [one.study.plant.parameters for one in results.variants("swing")] == [{"mass": 0.3}, {"mass": 0.4}]

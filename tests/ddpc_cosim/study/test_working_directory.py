@@ -1,6 +1,5 @@
 """Where a case runs: in a temporary folder of its own, whose files are told, and kept on request."""
 
-import io
 import os
 import sys
 import tempfile
@@ -10,14 +9,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from fmus.builder import Fault
+from studies import run_file
 
 from ddpc_cosim import ConfigError, StudyResults
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.processes.scratch import remove
 from ddpc_cosim.study.case_files import LEFT_FOLDER, keep_left, left_in, read_run
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.study.runner import Selection
 
 pytestmark = pytest.mark.xdist_group("working directory")
 
@@ -69,8 +67,7 @@ def study(
 
 
 def run(path: Path, **selection: bool) -> StudyResults:
-    progress = LineProgress(io.StringIO())
-    return run_study(read_study(str(path)), path.parent / "out", Selection(2, **selection), progress)
+    return run_file(path, jobs=2, **selection)
 
 
 def test_files_of_a_case_are_its_own(study: Callable[..., Path], tmp_path: Path) -> None:

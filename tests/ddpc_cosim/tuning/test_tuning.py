@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from studies import write
 
 from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
@@ -78,8 +79,7 @@ DEFAULT = Request(trials=8)
 def tuned(folder: Path, text: str = STUDY, request: Request = DEFAULT, jobs: int = 2) -> Tuned:
     folder.mkdir(exist_ok=True)
     (folder / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    resolved = read_study(str(folder / "study.toml"))
+    resolved = read_study(str(write(folder, text)))
     return tune_study(resolved, folder / "out", request, Selection(jobs), LineProgress(io.StringIO()))
 
 
@@ -158,8 +158,8 @@ def test_an_interrupted_tuning_goes_on_to_the_same_end_on_any_number_of_workers(
 
 def test_each_problem_is_tuned_for_itself(tmp_path: Path) -> None:
     """Where the plant follows half the input, a gain of 2 is best."""
-    tmp_path.joinpath("full.toml").write_text(STUDY, encoding="utf-8")
-    tmp_path.joinpath("half.toml").write_text(STUDY.replace(":Follower", ":Half"), encoding="utf-8")
+    write(tmp_path, STUDY, "full.toml")
+    write(tmp_path, STUDY.replace(":Follower", ":Half"), "half.toml")
     several = """
 problems = { full = { study = "full.toml" }, half = { study = "half.toml" } }
 controllers.a = { type = "tuning_toys:Gain" }
@@ -178,7 +178,7 @@ controllers.rest = { type = "tuning_toys:Rest" }
 
 def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, STUDY)
     monkeypatch.chdir(tmp_path)
     said = ["tune", "study.toml", "--trials", "2", "--jobs", "2", "--no-report"]
     said += ["--only", "b", "--only", "b*"]
@@ -233,7 +233,7 @@ def test_a_weight_is_searched_by_the_prediction_that_depends_on_it(
 
 def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, STUDY)
     monkeypatch.chdir(tmp_path)
     run = partial(CliRunner().invoke, main)
     done = run(["tune", "study.toml", "--trials", "2", "--jobs", "2", "--seeds", "7", "--out", "out"])
@@ -479,7 +479,7 @@ def test_settings_near_an_end_of_where_was_looked_are_told() -> None:
 
 def test_the_runs_that_trials_have_lost_most_often_come_first(tmp_path: Path) -> None:
     (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    write(tmp_path, STUDY)
     resolved = read_study(str(tmp_path / "study.toml")).problem
     cases = cases_of(resolved, resolved.plant, [1, 2, 3], "a")
     search = search_of([])

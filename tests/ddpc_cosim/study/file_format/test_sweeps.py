@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from studies import write
 
 from ddpc_cosim import ConfigError
 from ddpc_cosim.study.cases import Case, cases_of
@@ -36,9 +37,7 @@ TARGET = PlantSpec(name="", fmu="pendulum.fmu")
 
 
 def cases(folder: Path, text: str) -> list[Case]:
-    path = folder / "study.toml"
-    path.write_text(text, encoding="utf-8")
-    return cases_of(read_study(str(path)).problem, TARGET)
+    return cases_of(read_study(str(write(folder, text))).problem, TARGET)
 
 
 def test_a_table_is_run_in_all_combinations_and_tables_one_after_the_other(tmp_path: Path) -> None:

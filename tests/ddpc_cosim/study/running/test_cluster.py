@@ -16,6 +16,7 @@ from typing import Any
 
 import dask
 import pytest
+from studies import run_file
 
 from ddpc_cosim import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.cli.progress import LineProgress
@@ -157,9 +158,7 @@ def own_study(write_study: WriteStudy, tmp_path: Path) -> Callable[..., Path]:
 
 def run(study: Path, out: str, **selection: Any) -> StudyResults:
     with (study.parent / "log").open("w") as log:
-        return run_study(
-            read_study(str(study)), study.parent / out, Selection(**selection), LineProgress(log)
-        )
+        return run_file(study, out, progress=LineProgress(log), **selection)
 
 
 def read_from(pipe: Path) -> str:
@@ -290,7 +289,7 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
         return tried(self, case, reply, workers)
 
     monkeypatch.setattr(executor._Run, "_is_tried_again", counting)
-    study = with_plant_in_a_file(write_study("mfapc", seeds='["0:36"]', duration=20.0))
+    study = with_plant_in_a_file(write_study("mfapc", seeds='["0:36"]', loop={"duration": 20.0}))
     told = (
         f"worker {full}: 3 cases have failed there that others have run, .*cannot be written: File too large"
     )

@@ -5,28 +5,27 @@ import re
 from pathlib import Path
 
 import pytest
+from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study, selected_cases
+from ddpc_cosim.study.runner import Selection
 from ddpc_cosim.study.running.dry_run import expected
 
-SWEPT = """
-seeds = ["0:2"]
-plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
-loop = { sampling_time = 0.1, duration = 20.0 }
-reference.angle = { kind = "constant", value = 0.1 }
-controllers.mfapc = { type = "mfapc", sweep = { lambda_u = [0.1, 0.2, 0.3] } }
-controllers.pid = { type = "pid", settings = { proportional = 1.0 } }
-"""
+SWEPT = study_text(
+    seeds=["0:2"],
+    loop={"duration": 20.0},
+    controllers={
+        "mfapc": {"type": "mfapc", "sweep": {"lambda_u": [0.1, 0.2, 0.3]}},
+        "pid": {"type": "pid", "settings": {"proportional": 1.0}},
+    },
+)
 
 
 @pytest.fixture
 def study(tmp_path: Path) -> str:
-    path = tmp_path / "study.toml"
-    path.write_text(SWEPT, encoding="utf-8")
-    return str(path)
+    return str(write(tmp_path, SWEPT))
 
 
 def told(study: str, folder: Path, selection: Selection) -> list[str]:
@@ -41,9 +40,8 @@ def test_without_any_case_the_time_is_not_known_and_nothing_is_written(study: st
 
 
 def test_the_time_is_that_of_the_same_controller_with_whatever_settings(study: str, tmp_path: Path) -> None:
-    resolved, quiet = read_study(study), LineProgress(io.StringIO())
-    _, cases = selected_cases(resolved, Selection(), quiet)
-    run_study(resolved, tmp_path / "out", Selection(seeds=[0], only="mfapc"), quiet)
+    cases = cases_in(study)
+    run_file(study, seeds=[0], only="mfapc")
     # As if it had taken 60 s: the seven others of MFAPC take as long, and of PID nothing is known but that.
     first = load_case(tmp_path / "out" / "cases" / cases[0].id)
     write_case(first.folder, first.trace(), cases[0].head() | {"wall_time": 60.0})
@@ -57,9 +55,8 @@ def test_the_time_is_that_of_the_same_controller_with_whatever_settings(study: s
 
 @pytest.mark.parametrize("storage", ["csv", "parquet"])
 def test_the_size_is_about_that_of_the_files(study: str, tmp_path: Path, storage: str) -> None:
-    selection = Selection(storage=storage, seeds=[0])
-    *_, size = told(study, tmp_path / "out", selection)
-    run_study(read_study(study), tmp_path / "out", selection, LineProgress(io.StringIO()))
+    *_, size = told(study, tmp_path / "out", Selection(storage=storage, seeds=[0]))
+    run_file(study, storage=storage, seeds=[0])
     found = re.fullmatch(r"size: about ([0-9.]+) kB", size)
     assert found
     written = sum(file.stat().st_size for file in (tmp_path / "out" / "cases").glob("*/*"))

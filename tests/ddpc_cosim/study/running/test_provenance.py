@@ -1,7 +1,6 @@
 """Where results come from: the command to have them again, the files, commits and times."""
 
 import hashlib
-import io
 import json
 import subprocess
 from importlib import metadata
@@ -9,26 +8,18 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
+from studies import run_file, study_text, write
 
 from ddpc_cosim import StudyResults, load_results
-from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import package_version
 from ddpc_cosim.study.case_files import read_sealed, sealed_json
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.running.provenance import commit_of, facts_of_run, seed_ranges
 from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_reports.tables.reproduce import reproduce_tables
 
-STUDY = """
-plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
-loop = { sampling_time = 0.1, duration = 1.0 }
-reference.angle = { kind = "constant", value = 0.1 }
-controllers.mfapc.type = "mfapc"
-controllers.other.type = "mfapc"
-"""
+STUDY = study_text(controllers={"mfapc": "mfapc", "other": "mfapc"})
 
 
 @given(st.lists(st.integers(0, 50), unique=True, min_size=1))
@@ -41,8 +32,7 @@ def test_a_run_records_how_to_have_it_again(tmp_path: Path) -> None:
     path.write_text(STUDY, encoding="utf-8")
 
     def run() -> StudyResults:
-        selection = Selection(jobs=1, seeds=[4, 5], only="mfapc*")
-        return run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+        return run_file(path, seeds=[4, 5], only="mfapc*")
 
     results = run()
     facts = results.provenance
@@ -64,8 +54,7 @@ def test_every_run_over_a_folder_is_told(tmp_path: Path) -> None:
     path.write_text(STUDY, encoding="utf-8")
 
     def run(only: str) -> StudyResults:
-        selection = Selection(jobs=1, seeds=[4], only=only)
-        return run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+        return run_file(path, seeds=[4], only=only)
 
     first, *_ = told = [run(only).runs[-1] for only in ("mfapc*", "mfapc*", "other*")]
     results = load_results(tmp_path / "out")
@@ -83,21 +72,18 @@ def test_every_run_over_a_folder_is_told(tmp_path: Path) -> None:
 
 
 def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "own.toml"
-    path.write_text(STUDY, encoding="utf-8")
-    selection = Selection(jobs=1, seeds=[4, 5, 6], only="mfapc*")
-    results = run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+    results = run_file(write(tmp_path, STUDY), seeds=[4, 5, 6], only="mfapc*")
     here = metadata.version("numpy")
     for case in results.cases:
         assert case.versions["numpy"] == here
         assert case.versions["ddpc-cosim"] == package_version()
     assert not [one for one in findings_of(results.study, results.cases).remarks if "versions" in one.text]
 
-    run_file = results.cases[0].folder / "run.json"
-    older = read_sealed(run_file)
+    record = results.cases[0].folder / "run.json"
+    older = read_sealed(record)
     older.pop("sha256", None)
     older["versions"] |= {"numpy": "1.0"}
-    run_file.write_bytes(sealed_json(older))
+    record.write_bytes(sealed_json(older))
     results = load_results(tmp_path / "out")
     told = f"Cases ran with different versions of numpy: {here} (2), 1.0 (1); a run with --fresh has one"
     assert told in [one.text for one in findings_of(results.study, results.cases).remarks]

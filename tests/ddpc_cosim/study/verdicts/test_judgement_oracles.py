@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from studies import run_file, study_text, write
 
 from ddpc_controllers import PID, Idle
 from ddpc_cosim import (
@@ -538,15 +539,6 @@ class Following(Controller):
     def step(self, sample):
         return sample.reference[0]
 """
-STUDY = """
-seeds = [0, 1, 2, 3, 4, 5]
-plant.name = "static_plant:Static"
-loop = { sampling_time = 1.0, duration = 100.0 }
-reference.y = { kind = "steps", times = [0.0, 50.0], values = [1.0, 0.0] }
-scenarios.noisy.disturbances.y = { kind = "noise", standard_deviation = 0.2 }
-controllers.idle.type = "idle"
-controllers.following.type = "static_plant:Following"
-"""
 
 
 def order_of(results: StudyResults) -> dict[str, int]:
@@ -577,8 +569,15 @@ def test_a_pendulum_at_the_edge_of_its_band(tmp_path: Path) -> None:
 def test_white_noise_does_not_keep_who_follows_from_settling(tmp_path: Path) -> None:
     """A mean over ten samples of noise of 20 % of the step is off by 6 % of it, and by more at times."""
     (tmp_path / "static_plant.py").write_text(OWN)
-    (tmp_path / "study.toml").write_text(STUDY)
-    results = Study.read(tmp_path / "study.toml").run(tmp_path / "out", progress=False)
+    text = study_text(
+        seeds=[0, 1, 2, 3, 4, 5],
+        plant={"name": "static_plant:Static"},
+        loop={"sampling_time": 1.0, "duration": 100.0},
+        reference={"y": {"kind": "steps", "times": [0.0, 50.0], "values": [1.0, 0.0]}},
+        scenarios={"noisy": {"disturbances": {"y": {"kind": "noise", "standard_deviation": 0.2}}}},
+        controllers=["idle", "static_plant:Following"],
+    )
+    results = run_file(write(tmp_path, text))
     assert {case.reason for case in results.cases} == {""}
     own = [case for case in results.cases if case.controller == "following"]
     assert max(end.error for case in own for end in case.tracking[0].ends) > 0.06
