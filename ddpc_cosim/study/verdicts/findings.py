@@ -34,7 +34,7 @@ class Lead(StrEnum):
     BY_SCENARIO = "scenarios disagree"
     AHEAD = "it is ahead of all others"
     BEST_MEDIAN = "it has the best median, and the seeds are too few for a test"
-    LEVEL = "nobody is told to be better by enough to matter"
+    LEVEL = "no controller is significantly better by enough to matter"
     ALIKE = "no difference between them matters"
 
 
@@ -70,7 +70,7 @@ class Findings:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the seeds tell that nobody is better than the leaders: only then are they set in bold."""
+        """Whether by the seeds no controller is better than the leaders: only then are they set in bold."""
         sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
         return self.lead in sure and (self.standings.tested or self.lead is Lead.ONLY_SOUND)
 

@@ -89,7 +89,7 @@ def _level(told: Findings, controllers: Labels, over: str) -> Markup:
     if told.lead is Lead.ALIKE:
         how = ", and no difference between them matters"
     elif told.tells_leaders_apart:
-        how = " and none of them is told to be better by enough to matter"
+        how = " and none of them is significantly better by enough to matter"
     return Markup("{} lead {}{}").format(who, over, how)
 
 

@@ -64,7 +64,7 @@ def test_those_that_lead_together_are_not_told_apart_or_not_by_enough() -> None:
     assert lead_clause(level, LABELS, SCENARIOS).endswith(" lead over 8 seeds and are not told apart")
     near = found({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.112}})
     assert near.tells_leaders_apart
-    assert "none of them is told to be better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
+    assert "none of them is significantly better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
 
 
 def test_medians_are_over_scenarios_and_seeds() -> None:
