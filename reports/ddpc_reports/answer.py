@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.findings import Findings, Lead, Offer, offers_of
 from ddpc_cosim.study.verdicts.sentences import (
     italic,
     join_words,
@@ -18,7 +18,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     too_few_seeds_clause,
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings
-from ddpc_cosim.study.verdicts.statistics import Difference, compare
+from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import told_of_plant
@@ -28,8 +28,6 @@ from ddpc_reports.verdict import formatter, p_words
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
 _LONGEST_TOLD = 100
-_MUCH_LESS = 0.5
-"""From this part of a leader's on, a value of another is worth a word."""
 
 
 def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> Markup:
@@ -53,7 +51,10 @@ def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> 
     )
     counting = [one for one in seen if one.scenario not in ranking.left_out]
     labels = [italic(one.label) for one in seen if one.scenario in ranking.left_out]
-    offers = _offers(told, who, counting)
+    offers = {
+        offer.controller: _offer_words(offer, who, told.leaders, counting)
+        for offer in offers_of(results.study, results.cases, told)
+    }
     parts = [
         sentence(clause) + _details(told, who, offers) + "." + _unsure(told),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."
@@ -190,22 +191,16 @@ def _unsure(told: Findings) -> str:
     return f" {too_few_seeds_clause(found.compared.values())}."
 
 
-def _offers(
-    told: Findings, who: dict[str, ControllerResults], counting: Sequence[Condition]
-) -> dict[str, list[str]]:
-    """Return what the best of those behind offer that the leaders do not."""
-    found = told.standings
-    leaders = [who[name] for name in told.leaders]
-    rest = [who[one.controller] for one in found.order if not one.failed and one.rank > 1]
-    if not leaders or not rest or len(found.keys) > 1:
-        return {}
-    offers: dict[str, list[str]] = {}
-    if all(_recorded(one) for one in leaders):
-        for one in [one for one in rest if not _recorded(one)][:1]:
-            offers.setdefault(one.key, []).append(f"learns from no recording{_but_told(counting, one)}")
-    if len(counting) == 1 and (settled := _settles_closest(counting[0], leaders, rest)):
-        offers.setdefault(settled[0], []).append(settled[1])
-    return offers
+def _offer_words(
+    offer: Offer, who: dict[str, ControllerResults], leaders: Sequence[str], counting: Sequence[Condition]
+) -> list[str]:
+    words = []
+    if offer.needs_no_recording:
+        words.append(f"learns from no recording{_but_told(counting, who[offer.controller])}")
+    if offer.key:
+        show, more = formatter(offer.key, 2), " or more" if len(leaders) > 1 else ""
+        words.append(f"settles to {show(offer.left)} in place of {show(offer.least)}{more}")
+    return words
 
 
 def _offered(
@@ -229,33 +224,6 @@ def _but_told(counting: Sequence[Condition], one: ControllerResults) -> str:
     )
 
 
-def _recorded(one: ControllerResults) -> bool:
-    return any(case.recorded_samples for case in one.cases)
-
-
-def _settles_closest(
-    condition: Condition, leaders: Sequence[ControllerResults], rest: Sequence[ControllerResults]
-) -> tuple[str, str] | None:
-    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
-    keys = condition.keys("settled_error")
-    if len(keys) != 1:
-        return None
-    here = {one.key: one for one in condition.controllers}
-    values = {one.key: here[one.key].over_seeds(keys[0]).median for one in (*leaders, *rest)}
-    known = [one.key for one in rest if not math.isnan(values[one.key])]
-    if not known:
-        return None
-    name = min(known, key=values.__getitem__)
-    least = min((values[one.key] for one in leaders), default=math.nan)
-    differences = condition.compared(keys[0]).differences
-    sure = all((name, one.key) in differences and differences[name, one.key].told_apart for one in leaders)
-    if not sure or not values[name] <= _MUCH_LESS * least:
-        return None
-    show = formatter(keys[0], 2)
-    more = " or more" if len(leaders) > 1 else ""
-    return name, f"settles to {show(values[name])} in place of {show(least)}{more}"
-
-
 def _failing(told: Findings, who: dict[str, ControllerResults]) -> Markup:
     """Say of whom runs failed, of each how many, and who of them is ahead in those that did not."""
     if not told.failing or told.lead is Lead.ALL_FAIL:
@@ -269,7 +237,7 @@ def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Stan
     text = Markup("<b>{}</b> {} of {} runs").format(who[one.controller].label, one.failed, one.runs)
     if len(found.keys) == 1 and found.leaders:
         key, first = found.keys[0], found.leaders[0]
-        gain = compare(found.runs[key][first], found.runs[key][one.controller], metric_of(key).better)
+        gain = found.above(key, one.controller, first)
         if metric_of(key).better == "low" and gain.low > 0:
             ahead = Markup(" (in the others ahead of <i>{}</i> by {}{})")
             show = with_unit(significant(gain.median, 3), metric_unit(key))

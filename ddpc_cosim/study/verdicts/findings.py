@@ -1,15 +1,19 @@
-"""What the results of one problem show, as data: who is ahead, how sure that is, does it matter, who failed.
+"""What results show, as data: who is ahead, how sure that is, does it matter, who failed.
 
-Page, terminal, files and Python ask here, and put it into their own words.
+Page, terminal, files and Python ask here: of one problem, and over all problems of a study.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from itertools import combinations
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
 
-from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.metrics import metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.judgement import (
@@ -17,11 +21,28 @@ from ddpc_cosim.study.verdicts.judgement import (
     Remark,
     scenario_labels,
     scenario_remarks,
+    set_aside,
     unsettled,
 )
 from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
-from ddpc_cosim.study.verdicts.standings import Standing, Standings, standings
+from ddpc_cosim.study.verdicts.ranks import (
+    RANKED,
+    AverageRanks,
+    Profile,
+    problems_frame,
+    profile_frame,
+    ranks_frame,
+)
+from ddpc_cosim.study.verdicts.standings import Standing, Standings, known_values, standings
+from ddpc_cosim.study.verdicts.statistics import Runs, compare_all
 from ddpc_cosim.texts import printable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SETTLED_ERROR = "settled_error"
+_MUCH_LESS = 0.5
+"""From this part of a leader's on, a value of another is worth a word."""
 
 
 class Lead(StrEnum):
@@ -98,6 +119,61 @@ class Findings:
         return dict(others.most_common())
 
 
+class Offer(NamedTuple):
+    """What a controller behind the leaders offers that none of them does.
+
+    Parameters
+    ----------
+    controller : str
+        Its name in the study.
+    needs_no_recording : bool
+        Whether it learns from no recording, where every leader does.
+    key : str
+        The metric of what is left of a step, where it leaves half of what each leader leaves, or less; empty:
+        it does not.
+    left, least : float
+        That of the controller, and the least of a leader.
+    """
+
+    controller: str
+    needs_no_recording: bool
+    key: str = ""
+    left: float = math.nan
+    least: float = math.nan
+
+
+@dataclass(frozen=True)
+class OverallFindings:
+    """What the results of several problems show of their controllers over all of them.
+
+    Parameters
+    ----------
+    standings : tuple of Standings
+        Of each problem.
+    cases : dict of str to list of CaseResult
+        By controller, in the scenarios that count: variants and reference points too.
+    ranks : AverageRanks
+        Average ranks, of two controllers or more.
+    frame : pandas.DataFrame
+        The runs that these are of.
+    """
+
+    standings: tuple[Standings, ...]
+    cases: dict[str, list[CaseResult]]
+    ranks: AverageRanks
+    frame: "pd.DataFrame"
+
+    @cached_property
+    def profile(self) -> Profile:
+        """Performance profile."""
+        return profile_frame(self.frame, RANKED)
+
+    @property
+    def failed(self) -> dict[str, tuple[int, int]]:
+        """By controller, the runs that failed, and all runs."""
+        return {name: (sum(case.failed for case in own), len(own)) for name, own in self.cases.items()}
+
+
 def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     """Return what cases of one problem show."""
     everything = [*cases]
@@ -112,6 +188,82 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
         worse,
         tuple(_remarks(study, everything, worse)),
     )
+
+
+def offers_of(study: Study, cases: Sequence[CaseResult], told: Findings) -> list[Offer]:
+    """Return what the best of those behind offer that the leaders do not, each controller once.
+
+    Of several outputs, and where nobody leads or nobody is behind, there is nothing to tell.
+    """
+    found, leaders = told.standings, told.leaders
+    rest = [one.controller for one in found.order if not one.failed and one.rank > 1]
+    if not leaders or not rest or len(found.keys) > 1:
+        return []
+    offers: dict[str, Offer] = {}
+    learned = {case.controller for case in cases if case.recorded_samples}
+    if learned >= {*leaders} and (name := next((name for name in rest if name not in learned), "")):
+        offers[name] = Offer(name, needs_no_recording=True)
+    counting = [case for case in cases if case.scenario not in found.left_out]
+    if len({case.scenario for case in counting}) == 1:
+        aside = set_aside(study) | {one.controller for one in told.failing}
+        by_controller: dict[str, list[CaseResult]] = {}
+        for case in counting:
+            if case.controller not in aside:
+                by_controller.setdefault(case.controller, []).append(case)
+        if closest := _settles_closest(by_controller, leaders, rest):
+            name = closest.controller
+            offers[name] = closest._replace(needs_no_recording=name in offers)
+    return [*offers.values()]
+
+
+def _settles_closest(
+    cases: dict[str, list[CaseResult]], leaders: Sequence[str], rest: Sequence[str]
+) -> Offer | None:
+    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
+    every = dict.fromkeys(key for own in cases.values() for case in own for key in case.metrics)
+    keys = [key for key in every if split_key(key)[0] == _SETTLED_ERROR]
+    if len(keys) != 1:
+        return None
+    (key,) = keys
+    known = {name: values for name in (*leaders, *rest) if (values := known_values(cases[name], key))}
+    medians = {name: median(values) for name, values in known.items()}
+    if not (behind := [name for name in rest if name in medians]):
+        return None
+    name = min(behind, key=medians.__getitem__)
+    least = min((medians.get(leader, math.nan) for leader in leaders), default=math.nan)
+    runs: dict[str, Runs] = {
+        name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in own}
+        for name, own in cases.items()
+    }
+    differences = compare_all(runs, metric_of(key).better).differences
+    pairs = [differences.get((name, leader)) for leader in leaders]
+    if not all(pair and pair.told_apart for pair in pairs) or not medians[name] <= _MUCH_LESS * least:
+        return None
+    return Offer(name, needs_no_recording=False, key=key, left=medians[name], least=least)
+
+
+def overall_findings(problems: Iterable[tuple[Study, Sequence[CaseResult]]]) -> OverallFindings | None:
+    """Return what several problems show over all; None where fewer than two of either can be compared.
+
+    Raises
+    ------
+    ConfigError
+        In a problem, the controllers share no run.
+    """
+    everything = [*problems]
+    found = tuple(standings(study, cases) for study, cases in everything)
+    frame = problems_frame(found)
+    if frame is None:
+        return None
+    ranks = ranks_frame(frame, RANKED)
+    if len(ranks.ranks) < 2:
+        return None
+    by_controller: dict[str, list[CaseResult]] = {}
+    for (_, cases), of_problem in zip(everything, found, strict=True):
+        for case in cases:
+            if case.scenario not in of_problem.left_out:
+                by_controller.setdefault(case.controller, []).append(case)
+    return OverallFindings(found, by_controller, ranks, frame)
 
 
 def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview]) -> Iterator[Remark]:
