@@ -14,11 +14,12 @@ from ddpc_cosim.study.verdicts.findings import OverallFindings, overall_findings
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    failed_runs,
     italic,
     join_words,
+    not_counted_sentence,
     ranks_differ_clause,
     sentence,
-    some_of,
 )
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
 from ddpc_cosim.tables import Cell, Heading, Table
@@ -139,14 +140,10 @@ def overall_answer(found: Overall) -> Markup:
         key=lambda one: -found.told.failed[one.key][0],
     )
     if failing:
-        most = [
-            Markup("<b>{}</b> {} of {} runs").format(one.label, *found.told.failed[one.key])
-            for one in failing[:_NAMED]
-        ]
+        most = [failed_runs(one.label, *found.told.failed[one.key]) for one in failing[:_NAMED]]
         text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
     if found.left_out:
-        left_out = [italic(name) for name in found.left_out]
-        text += Markup(" Not counted, as every controller fails there: {}.").format(some_of(left_out))
+        text += " " + not_counted_sentence(found.left_out)
     return text
 
 

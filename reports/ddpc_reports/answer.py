@@ -9,13 +9,15 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, Offer, offers_of
 from ddpc_cosim.study.verdicts.sentences import (
+    elsewhere_sentence,
+    failed_runs,
     italic,
     join_words,
     lead_clause,
+    not_counted_sentence,
     over_words,
     sentence,
-    some_of,
-    too_few_seeds_clause,
+    untested_sentence,
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings
 from ddpc_cosim.study.verdicts.statistics import Difference
@@ -46,24 +48,24 @@ def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> 
     who = {one.key: one for condition in seen for one in condition.controllers}
     if told.lead is Lead.NOBODY and ranking.left_out:
         return Markup("")
-    clause = lead_clause(
-        told, {key: one.label for key, one in who.items()}, {one.scenario: one.label for one in seen}
-    )
+    labels = {key: one.label for key, one in who.items()}
+    clause = lead_clause(told, labels, {one.scenario: one.label for one in seen})
     counting = [one for one in seen if one.scenario not in ranking.left_out]
-    labels = [italic(one.label) for one in seen if one.scenario in ranking.left_out]
+    unseen = [one.label for one in seen if one.scenario in ranking.left_out]
     offers = {
         offer.controller: _offer_words(offer, who, told.leaders, counting)
         for offer in offers_of(results.study, results.cases, told)
     }
     parts = [
-        sentence(clause) + _details(told, who, offers) + "." + _unsure(told),
+        sentence(clause) + _details(told, who, offers) + ".",
+        untested_sentence(told),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."
         if ranking.is_uneven
         else "",
-        _elsewhere(told, who, len(counting)) if told.leaders else "",
+        elsewhere_sentence(told, labels),
         _offered(ranking, who, offers),
         _failing(told, who),
-        Markup("Not counted, as every controller fails there: {}.").format(some_of(labels)) if labels else "",
+        not_counted_sentence(unseen),
     ]
     return Markup(" ").join(part for part in parts if part)
 
@@ -85,19 +87,6 @@ def _details(
         label, behind = who[told.following].label, _behind(ranking, first, told.following)
         text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
     return text
-
-
-def _elsewhere(told: Findings, who: dict[str, ControllerResults], scenarios: int) -> Markup:
-    """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
-    others, led = told.leads_elsewhere, told.scenarios_led
-    if not others:
-        return Markup("")
-    named = [italic(who[name].label) + f" ({count})" for name, count in others.items()]
-    it = "it leads" if len(told.leaders) == 1 else "one of them leads"
-    do = "does" if len(named) == 1 else "do"
-    together = ", some together" if sum(others.values()) > scenarios - led else ""
-    text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
-    return Markup(text).format(it, led or "none", scenarios, some_of(named), do, together)
 
 
 def _of_leaders(told: Findings, shown: Sequence[ControllerResults]) -> Markup:
@@ -181,16 +170,6 @@ def _ratio_words(ratio: float, factor: str) -> str:
     return factor.format(significant(ratio, 2))
 
 
-def _unsure(told: Findings) -> str:
-    """Say why nothing could be tested; nothing where it was."""
-    found = told.standings
-    if found.tested or len(found.order) < 2 or told.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
-        return ""
-    if found.seeds < 2:
-        return " How much that depends on the seed is not known."
-    return f" {too_few_seeds_clause(found.compared.values())}."
-
-
 def _offer_words(
     offer: Offer, who: dict[str, ControllerResults], leaders: Sequence[str], counting: Sequence[Condition]
 ) -> list[str]:
@@ -234,7 +213,7 @@ def _failing(told: Findings, who: dict[str, ControllerResults]) -> Markup:
 
 
 def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
-    text = Markup("<b>{}</b> {} of {} runs").format(who[one.controller].label, one.failed, one.runs)
+    text = failed_runs(who[one.controller].label, one.failed, one.runs)
     if len(found.keys) == 1 and found.leaders:
         key, first = found.keys[0], found.leaders[0]
         gain = found.above(key, one.controller, first)

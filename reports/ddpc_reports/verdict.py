@@ -10,7 +10,16 @@ from markupsafe import Markup
 from ddpc_cosim import CaseResult
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import metric_name, split_key
-from ddpc_cosim.study.verdicts.sentences import bold, italic, join_words, some_of, too_few_seeds_clause
+from ddpc_cosim.study.verdicts.sentences import (
+    ahead_in_pairs_clause,
+    bold,
+    italic,
+    join_words,
+    level_clause,
+    sentence,
+    some_of,
+    too_few_seeds_clause,
+)
 from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
@@ -144,16 +153,13 @@ def _times(condition: Condition) -> Markup:
 def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
     unsure = condition.not_told_apart(key)
-    words = Markup("; the seeds do not tell it apart from {}").format
-    return (words(some_of(names(unsure))) if unsure else Markup("")) + _in_pairs(condition, key)
+    return ("; " + level_clause(names(unsure)) if unsure else Markup("")) + _in_pairs(condition, key)
 
 
 def _in_pairs(condition: Condition, key: str) -> Markup:
     """Name those that are ahead of the first seed by seed, despite its median; nothing without any."""
     ahead = names(condition.ahead_in_pairs(key))
-    be = "is" if len(ahead) == 1 else "are"
-    words = Markup("; in pairs of the same seed {} {} ahead of it").format
-    return words(some_of(ahead), be) if ahead else Markup("")
+    return "; " + ahead_in_pairs_clause(ahead) if ahead else Markup("")
 
 
 def _among(condition: Condition) -> str:
@@ -295,7 +301,7 @@ def least_travel(condition: Condition) -> list[Statement]:
     text = Markup(" Its {} is far from the best, though: {} against {}.").format(
         metric_name(costs[0]), show(own), show(tracks[0][0])
     )
-    return [Statement(topic, sentence + text) for topic, sentence in statements]
+    return [Statement(topic, travel + text) for topic, travel in statements]
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
@@ -399,9 +405,7 @@ def _told_apart(condition: Condition, key: str) -> Markup:
         )
         for one in unsure
     ]
-    return Markup(" The seeds do not tell it apart from {}{}.").format(
-        some_of(named), _in_pairs(condition, key)
-    )
+    return " " + sentence(level_clause(named)) + _in_pairs(condition, key) + "."
 
 
 def _difference(found: Difference, key: str) -> str:

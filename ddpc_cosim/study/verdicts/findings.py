@@ -6,7 +6,7 @@ Page, terminal, files and Python ask here: of one problem, and over all problems
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from itertools import combinations
@@ -34,7 +34,7 @@ from ddpc_cosim.study.verdicts.ranks import (
     ranks_frame,
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings, known_values, standings
-from ddpc_cosim.study.verdicts.statistics import Runs, compare_all
+from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, compare_all
 from ddpc_cosim.texts import printable
 
 if TYPE_CHECKING:
@@ -117,6 +117,55 @@ class Findings:
             for name in leaders
         )
         return dict(others.most_common())
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioFindings:
+    """What the runs of one scenario show, metric by metric.
+
+    Parameters
+    ----------
+    study : Study
+        The study, of one problem.
+    cases : sequence of CaseResult
+        The runs.
+    """
+
+    study: Study
+    cases: Sequence[CaseResult]
+    _compared: dict[str, Comparisons] = field(default_factory=dict)
+
+    @cached_property
+    def standings(self) -> Standings:
+        """Where the controllers stand in it."""
+        return standings(self.study, self.cases)
+
+    @cached_property
+    def sound(self) -> dict[str, list[CaseResult]]:
+        """The runs of those that compete and of which none failed: only these may be the best."""
+        aside, runs = set_aside(self.study), dict[str, list[CaseResult]]()
+        for case in self.cases:
+            if case.controller not in aside:
+                runs.setdefault(case.controller, []).append(case)
+        return {name: own for name, own in runs.items() if not any(case.failed for case in own)}
+
+    def medians(self, key: str) -> dict[str, float]:
+        """Return the medians of those that may be the best, the best first; equal ones as in the study."""
+        values = {name: known_values(own, key) for name, own in self.sound.items()}
+        medians = {name: median(known) for name, known in values.items() if known}
+        return dict(sorted(medians.items(), key=lambda item: metric_of(key).rank(item[1])))
+
+    def compared(self, key: str) -> Comparisons:
+        """Return those that may be the best, compared each with each over the seeds."""
+        if key in self.standings.compared:
+            return self.standings.compared[key]
+        if key not in self._compared:
+            runs: dict[str, Runs] = {
+                name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in own}
+                for name, own in self.sound.items()
+            }
+            self._compared[key] = compare_all(runs, metric_of(key).better)
+        return self._compared[key]
 
 
 class Offer(NamedTuple):
@@ -204,40 +253,29 @@ def offers_of(study: Study, cases: Sequence[CaseResult], told: Findings) -> list
     if learned >= {*leaders} and (name := next((name for name in rest if name not in learned), "")):
         offers[name] = Offer(name, needs_no_recording=True)
     counting = [case for case in cases if case.scenario not in found.left_out]
-    if len({case.scenario for case in counting}) == 1:
-        aside = set_aside(study) | {one.controller for one in told.failing}
-        by_controller: dict[str, list[CaseResult]] = {}
-        for case in counting:
-            if case.controller not in aside:
-                by_controller.setdefault(case.controller, []).append(case)
-        if closest := _settles_closest(by_controller, leaders, rest):
-            name = closest.controller
-            offers[name] = closest._replace(needs_no_recording=name in offers)
+    only = ScenarioFindings(study, counting) if len({case.scenario for case in counting}) == 1 else None
+    if only and (closest := _settles_closest(only, leaders, rest)):
+        name = closest.controller
+        offers[name] = closest._replace(needs_no_recording=name in offers)
     return [*offers.values()]
 
 
-def _settles_closest(
-    cases: dict[str, list[CaseResult]], leaders: Sequence[str], rest: Sequence[str]
-) -> Offer | None:
+def _settles_closest(found: ScenarioFindings, leaders: Sequence[str], rest: Sequence[str]) -> Offer | None:
     """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
-    every = dict.fromkeys(key for own in cases.values() for case in own for key in case.metrics)
+    every = dict.fromkeys(key for case in found.cases for key in case.metrics)
     keys = [key for key in every if split_key(key)[0] == _SETTLED_ERROR]
     if len(keys) != 1:
         return None
     (key,) = keys
-    known = {name: values for name in (*leaders, *rest) if (values := known_values(cases[name], key))}
-    medians = {name: median(values) for name, values in known.items()}
-    if not (behind := [name for name in rest if name in medians]):
+    medians = found.medians(key)
+    known = [name for name in rest if name in medians]
+    if not known:
         return None
-    name = min(behind, key=medians.__getitem__)
+    name = min(known, key=medians.__getitem__)
     least = min((medians.get(leader, math.nan) for leader in leaders), default=math.nan)
-    runs: dict[str, Runs] = {
-        name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in own}
-        for name, own in cases.items()
-    }
-    differences = compare_all(runs, metric_of(key).better).differences
-    pairs = [differences.get((name, leader)) for leader in leaders]
-    if not all(pair and pair.told_apart for pair in pairs) or not medians[name] <= _MUCH_LESS * least:
+    differences = [found.compared(key).differences.get((name, leader)) for leader in leaders]
+    sure = all(difference and difference.told_apart for difference in differences)
+    if not sure or not medians[name] <= _MUCH_LESS * least:
         return None
     return Offer(name, needs_no_recording=False, key=key, left=medians[name], least=least)
 
