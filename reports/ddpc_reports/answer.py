@@ -190,7 +190,7 @@ def _offered(
     for name, words in offers.items():
         ratio = found.ratio(found.keys[0], found.leaders[0], name)
         behind = "" if math.isnan(ratio) else f" ({_ratio_words(ratio, '{} times')})"
-        parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
+        parts.append(italic(who[name].label) + f"{behind} " + join_words(words))
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
 
 

@@ -12,6 +12,7 @@ from ddpc_cosim.metrics import all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ClaimSection, PublishedMethod, Reproduction
 from ddpc_cosim.study.verdicts.claims import check_claims
+from ddpc_cosim.study.verdicts.sentences import italic
 from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import (
     Condition,
@@ -213,14 +214,11 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
 
 def _times_words(order: list[tuple[float, str]]) -> Markup:
     least = order[0][0]
-    first = Markup("<i>{}</i>").format(order[0][1])
     rest = [
-        Markup("<i>{}</i> (about {} times as long)").format(label, significant(value / least, 2))
-        if least > 0
-        else Markup("<i>{}</i>").format(label)
+        italic(label) + (f" (about {significant(value / least, 2)} times as long)" if least > 0 else "")
         for value, label in order[1:]
     ]
-    return Markup(", ").join([first, *rest])
+    return Markup(", ").join([italic(order[0][1]), *rest])
 
 
 def _is_step_time(key: str) -> bool:
