@@ -13,8 +13,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
-from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
-from ddpc_cosim.study.verdicts.ranks import RANKED, problems_frame, ranks_frame
+from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
     lead_clause,
@@ -22,7 +21,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     too_few_seeds_clause,
 )
 from ddpc_cosim.study.verdicts.shares import marked
-from ddpc_cosim.study.verdicts.standings import Standings, known_values, standings, summed
+from ddpc_cosim.study.verdicts.standings import Standings, known_values, summed
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 
@@ -111,27 +110,20 @@ def _set(
 
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
     """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
-    found = {one.study.name: standings(one.study, one.cases) for one in problems}
-    frame = problems_frame(found.values())
-    if frame is None:
-        return None
     try:
-        ranks = ranks_frame(frame, RANKED)
+        found = overall_findings((problem.study, problem.cases) for problem in problems)
     except ConfigError:  # no run is shared by all
         return None
-    if len(ranks.ranks) < 2:
+    if found is None:
         return None
-    of_controller: dict[str, list[CaseResult]] = {}
-    for one in problems:
-        for case in one.cases:
-            if case.scenario not in found[one.study.name].left_out:
-                of_controller.setdefault(case.controller, []).append(case)
-    rows = [_Row(of_controller[name][0].label, of_controller[name]) for name in ranks.ranks]
+    ranks, cases = found.ranks, found.cases
+    rows = [_Row(cases[name][0].label, cases[name]) for name in ranks.ranks]
     average = _Column(
         Heading("average rank"), "", "", lambda own: Cell(f"{ranks.ranks[own[0].controller]:.3g}")
     )
-    columns = [average, *(_problem_column(name, own) for name, own in found.items() if own.order)]
-    labels = {name: own[0].label for name, own in of_controller.items()}
+    of_problems = zip(problems, found.standings, strict=True)
+    columns = [average, *(_problem_column(one.study.name, own) for one, own in of_problems if own.order)]
+    labels = {name: own[0].label for name, own in cases.items()}
     differ = ranks_differ_clause(ranks, lambda rank: f"{rank:.2g}")
     lines = [
         f"ranks in {ranks.problems} problems, and their average: {differ}",

@@ -88,12 +88,12 @@ class Conditions:
     rate_limit : mapping of str to float
         Largest rate of change of an input, per second, from its value at rest on.
     delay : mapping of str to float
-        By how much an input acts, or a measurement arrives, late [s]: a whole number of samples. Until then
-        the input is at rest, the measurement as at the first sample.
+        By how much an input acts, or a measurement arrives, late [s]: an integer multiple of the sampling
+        time. Until then the input is at rest, the measurement as at the first sample.
     backlash : mapping of str to float
         Width of the play between an input and the plant.
     quantum : mapping of str to float
-        Measurements are rounded to whole multiples of it.
+        Measurements are rounded to integer multiples of it.
     loss : mapping of str to float
         Probability that a measurement is lost at a sample; at the first one it never is. A controller that
         accepts missing measurements sees NaN, any other the last value that arrived, with a status that

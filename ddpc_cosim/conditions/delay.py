@@ -8,12 +8,12 @@ from ddpc_cosim.conditions.condition import Condition, ConditionSetup
 from ddpc_cosim.settings import SettingInfo
 from ddpc_cosim.variables import FloatArray
 
-# By how much a delay may miss a whole number of samples, in parts of it.
+# By how much a delay may miss an integer multiple of the sampling time, in parts of it.
 _ROUNDING = 1e-9
 
 
 class Delay(Condition):
-    """An input acts, or a measurement arrives, a whole number of samples late.
+    """An input acts, or a measurement arrives, late by an integer multiple of the sampling time.
 
     Until then the input is at rest, the measurement as at the first sample.
     """
@@ -53,7 +53,7 @@ class Delay(Condition):
 
     @classmethod
     def fault_of(cls, value: float, sampling_time: float, steps: float = math.inf, run: str = "run") -> str:
-        """Return why it is longer than the run, or not a whole number of samples; empty if it is possible."""
+        """Return why it is too long, or no integer multiple of the sampling time; empty if it is possible."""
         late = value / sampling_time
         if late > steps * (1.0 - _ROUNDING):
             length = f"the {run} ends after {steps * sampling_time:g} s"
@@ -61,7 +61,6 @@ class Delay(Condition):
         if abs(round(late) - late) > _ROUNDING * max(late, 1.0):
             whole = (f"{n * sampling_time:g}" for n in (math.floor(late), math.ceil(late)))
             nearest = " or ".join(whole)
-            return (
-                f"{value:g} s is not a whole number of samples of {sampling_time:g} s; nearest: {nearest} s"
-            )
+            multiple = f"an integer multiple of the sampling time of {sampling_time:g} s"
+            return f"{value:g} s is not {multiple}; nearest: {nearest} s"
         return ""

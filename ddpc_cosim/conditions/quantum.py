@@ -9,12 +9,12 @@ from ddpc_cosim.variables import FloatArray
 
 
 class Quantum(Condition):
-    """Measurements are rounded to whole multiples of it."""
+    """Measurements are rounded to integer multiples of it."""
 
     places = ("sensor",)
     order = 10
     value = SettingInfo(
-        "what each measurement is rounded to whole multiples of, in its unit", above=0, unit=SIGNAL
+        "what each measurement is rounded to integer multiples of, in its unit", above=0, unit=SIGNAL
     )
     words = "{name} rounded to multiples of {value}"
 

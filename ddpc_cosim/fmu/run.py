@@ -40,7 +40,7 @@ _ONE_INSTANT = 1e-9
 
 
 class Ticks:
-    """The ticks of periodic clocks: at whole numbers of intervals, computed and never accumulated.
+    """The ticks of periodic clocks: at integer multiples of their intervals, computed and never accumulated.
 
     A tick at the instant of a sample comes after the outputs of that sample have been read, together with its
     inputs: the FMU then takes these up at once.
@@ -77,7 +77,7 @@ class Ticks:
 class Run(ABC):
     """An initialised FMU between two samples.
 
-    Time is computed from whole numbers of steps and never accumulated.
+    Time is computed as an integer multiple of the step and never accumulated.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from ddpc_cosim.fmu.build import described_sources, has_sources, is_source
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
+from fmu_plants.commands import captured
 from fmu_plants.installing import how_to_install
 
 Route = Literal["binary", "sources", ""]
@@ -220,15 +221,8 @@ def _missing_libraries(library: Path, resources: Path) -> list[str]:
 
 def _not_in_system(names: Sequence[str]) -> list[str]:
     try:
-        done = subprocess.run(
-            [sys.executable, "-I", "-c", _LOADING, *names],
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=_LONGEST_LOADING,
-            check=True,
-        )
+        done = captured([sys.executable, "-I", "-c", _LOADING, *names], _LONGEST_LOADING)
+        done.check_returncode()
     except (OSError, subprocess.SubprocessError):  # nothing is known then
         return []
     return [name for name in names if name in done.stdout.splitlines()]

@@ -78,7 +78,7 @@ def _proportional(pid: int) -> int:
 
 
 def told_of_limits(gigabytes: Iterable[float]) -> str:
-    """Return what there is to say of limits of memory [GB] on this system; empty: they hold."""
+    """Return a warning where limits of memory [GB] do nothing on this system; empty: they hold."""
     if _IS_LOOKED_AT or not (given := sorted(set(gigabytes))):
         return ""
     limits = ", ".join(f"{one:g}" for one in given)

@@ -93,7 +93,7 @@ def resolve_controllers(
 ) -> list[StudyController]:
     """Return the controllers of a study; paths among their settings are relative to a folder.
 
-    ``late`` holds, by type, the call that has not returned in time; what is late here is added.
+    ``late`` holds, by type, the call that timed out; timed-out controllers found here are added.
     """
     controllers: list[StudyController] = []
     taken = set(study.controllers)

@@ -5,7 +5,6 @@ import importlib.util
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
 
+from fmu_plants.commands import captured
 from fmu_plants.export.binaries import exported_symbols
 from fmu_plants.export.platforms import Platform, host_platform
 from fmu_plants.files import cache_dir
@@ -137,7 +137,7 @@ class Compiler:
                 raise ExportError(str(error)) from error
             environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | environment
         try:
-            done = _capture(command, cwd=folder, env=environment)
+            done = _output_of(command, cwd=folder, env=environment)
         except OSError as error:
             reason = f"the C compiler {command[0]} cannot be run: {error}; set CC to another one"
             raise ExportError(reason) from error
@@ -291,48 +291,16 @@ def compile_library(
         return built.read_bytes()
 
 
-def _capture(
+def _output_of(
     command: Sequence[str], cwd: Path | None = None, env: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command for its output, which may be in any encoding; what it starts does not outlive it.
-
-    Raises
-    ------
-    ExportError
-        It does not end in time.
-    """
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command,
-        cwd=cwd,
-        env=env,
-        stdin=subprocess.DEVNULL,
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as process:
-        try:
-            output = process.communicate(timeout=_LONGEST_SECONDS)
-        except subprocess.TimeoutExpired as error:
-            raise ExportError(
-                f"{command[0]} did not end within {_LONGEST_SECONDS:g} s and was ended, with all that it had "
-                f"started; if it hangs, set CC to another compiler\nThe call: {shlex.join(command)}"
-            ) from error
-        finally:
-            if process.returncode is None:  # late, or interrupted
-                _end(process)
-    return subprocess.CompletedProcess(command, process.returncode, *output)
-
-
-def _end(process: "subprocess.Popen[str]") -> None:
-    """End a process and all that it has started."""
-    if sys.platform == "win32":
-        process.kill()
-    else:
-        os.killpg(process.pid, signal.SIGKILL)
+    try:
+        return captured(command, _LONGEST_SECONDS, cwd=cwd, env=env)
+    except subprocess.TimeoutExpired as error:
+        raise ExportError(
+            f"{command[0]} did not end within {_LONGEST_SECONDS:g} s and was ended, with all that it had "
+            f"started; if it hangs, set CC to another compiler\nThe call: {shlex.join(command)}"
+        ) from error
 
 
 _EXPORT_CHECK = """
@@ -345,7 +313,7 @@ print(*[name for name in sys.argv[2:] if not hasattr(library, name)])
 def _unloadable(library: Path, required: Sequence[str]) -> list[str]:
     """Ask a process of its own: a defective library may bring it down, and the file stays free to delete."""
     command = [sys.executable, "-I", "-S", "-c", _EXPORT_CHECK, str(library), *required]
-    done = _capture(command)
+    done = _output_of(command)
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise ExportError(f"the library that was built cannot be loaded: {reason}")

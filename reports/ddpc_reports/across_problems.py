@@ -10,23 +10,17 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.verdicts.ranks import (
-    RANKED,
-    AverageRanks,
-    Profile,
-    problems_frame,
-    profile_frame,
-    ranks_frame,
-)
+from ddpc_cosim.study.verdicts.findings import OverallFindings, overall_findings
+from ddpc_cosim.study.verdicts.ranks import AverageRanks
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    failed_runs,
     italic,
     join_words,
+    not_counted_sentence,
     ranks_differ_clause,
     sentence,
-    some_of,
 )
-from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
 from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_cosim.texts import clipped
@@ -58,16 +52,12 @@ class Overall:
 
     Parameters
     ----------
-    problems : int
-        How many problems are compared.
+    told : OverallFindings
+        Average ranks, performance profile, and the runs that failed.
     left_out : list of str
         Problems, and scenarios of others, in which every controller fails: nothing is ranked.
     controllers : dict of str to ControllerResults
         The controllers that ran in every problem, as they are in the first, the best rank first.
-    failed : dict of str to (int, int)
-        By controller, the runs that failed, and all runs.
-    ranks, profile
-        Average ranks and performance profile.
     labels : dict of str to str
         Of all controllers, those too that are not ranked.
     distances : Distances or None
@@ -76,12 +66,9 @@ class Overall:
         By controller, which kinds tuning chose, and in how many problems; numbers are left out.
     """
 
-    problems: int
+    told: OverallFindings
     left_out: list[str]
     controllers: dict[str, ControllerResults]
-    failed: dict[str, tuple[int, int]]
-    ranks: AverageRanks
-    profile: Profile
     labels: dict[str, str]
     distances: Distances | None
     chosen: dict[str, str]
@@ -89,32 +76,26 @@ class Overall:
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
     """Compare the controllers over all problems; None where fewer than two of either can be compared."""
-    found: dict[str, ControllerResults] = {}
-    failed: dict[str, tuple[int, int]] = {}
+    told = overall_findings((results.study, results.cases) for results in problems)
+    if told is None:
+        return None
+    members: dict[str, ControllerResults] = {}
     left_out = []
-    for results in problems:
+    for results, ranking in zip(problems, told.standings, strict=True):
         everywhere = conditions(results)
-        for one in (one for condition in everywhere for one in condition.controllers):
-            found.setdefault(one.key, one)
-        seen = [condition for condition in everywhere if not condition.all_failed]
-        unseen = [f"{results.study.name}: {one.label}" for one in everywhere if one.all_failed]
-        left_out += unseen if seen else [results.study.title or results.study.name]
-        for one in (one for condition in seen for one in condition.controllers):
-            so_far, runs = failed.get(one.key, (0, 0))
-            failed[one.key] = so_far + one.failed, runs + len(one.cases)
-    frame = problems_frame(standings(one.study, one.cases) for one in problems)
-    if frame is None:
-        return None
-    ranks = ranks_frame(frame, RANKED)
-    if len(ranks.ranks) < 2:
-        return None
-    shown = {key: found[key] for key in ranks.ranks}
-    others = [one for one in found.values() if one.key not in shown]
+        for member in (member for condition in everywhere for member in condition.controllers):
+            members.setdefault(member.key, member)
+        unseen = [one for one in everywhere if one.scenario in ranking.left_out]
+        of_scenarios = [f"{results.study.name}: {condition.label}" for condition in unseen]
+        left_out += (
+            of_scenarios if len(unseen) < len(everywhere) else [results.study.title or results.study.name]
+        )
+    shown = {key: members[key] for key in told.ranks.ranks}
+    others = [member for member in members.values() if member.key not in shown]
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
-    labels = {key: one.label for key, one in found.items()}
-    profile = profile_frame(frame, RANKED)
+    labels = {key: member.label for key, member in members.items()}
     chosen = chosen_kinds([results.study for results in problems])
-    return Overall(ranks.problems, left_out, shown, failed, ranks, profile, labels, far, chosen)
+    return Overall(told, left_out, shown, labels, far, chosen)
 
 
 def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
@@ -143,7 +124,7 @@ def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
 
 def overall_answer(found: Overall) -> Markup:
     """Return who has the best average rank, from whom it is told apart, and of whom the most runs failed."""
-    ranks, order = found.ranks, [*found.controllers.values()]
+    ranks, order = found.told.ranks, [*found.controllers.values()]
     first = order[0]
     text = _best_rank(ranks, found.labels)
     if ranks.p <= LEVEL:
@@ -155,17 +136,14 @@ def overall_answer(found: Overall) -> Markup:
             share_words(own), interval_words(own), join_words(points)
         )
     failing = sorted(
-        (one for one in order if found.failed[one.key][0]), key=lambda one: -found.failed[one.key][0]
+        (one for one in order if found.told.failed[one.key][0]),
+        key=lambda one: -found.told.failed[one.key][0],
     )
     if failing:
-        most = [
-            Markup("<b>{}</b> {} of {} runs").format(one.label, *found.failed[one.key])
-            for one in failing[:_NAMED]
-        ]
+        most = [failed_runs(one.label, *found.told.failed[one.key]) for one in failing[:_NAMED]]
         text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
     if found.left_out:
-        left_out = [italic(name) for name in found.left_out]
-        text += Markup(" Not counted, as every controller fails there: {}.").format(some_of(left_out))
+        text += " " + not_counted_sentence(found.left_out)
     return text
 
 
@@ -175,20 +153,20 @@ def _best_rank(ranks: AverageRanks, labels: Mapping[str, str]) -> Markup:
 
 def first_columns(found: Overall, order: Sequence[ControllerResults]) -> list[Column]:
     """Return average ranks and failed runs, for the matrix of the first screen."""
-    ranks = number_cells([found.ranks.ranks.get(one.key, math.nan) for one in order], digits=3)
+    ranks = number_cells([found.told.ranks.ranks.get(one.key, math.nan) for one in order], digits=3)
     return [(Heading("average rank"), ranks), (Heading("failed", "runs"), _failed_cells(found, order))]
 
 
 def _failed_cells(found: Overall, controllers: Iterable[ControllerResults]) -> list[Cell]:
     return [
         Cell(f"{failed} of {runs}", failed, failed=failed > 0) if runs else Cell(MISSING)
-        for failed, runs in (found.failed.get(one.key, (0, 0)) for one in controllers)
+        for failed, runs in (found.told.failed.get(one.key, (0, 0)) for one in controllers)
     ]
 
 
 def overall_statements(found: Overall) -> list[Statement]:
     """Say who has the best average rank, from whom it is told apart, and who is left out."""
-    ranks = found.ranks
+    ranks = found.told.ranks
     text = _best_rank(ranks, found.labels)
     if math.isnan(ranks.p):
         test = Markup(" It takes three controllers for a test.")
@@ -212,7 +190,7 @@ def overall_statements(found: Overall) -> list[Statement]:
 
 def overall_table(found: Overall, prefix: str) -> Table:
     """Return average ranks, shares of the runs near the best, and the failed runs."""
-    profile, order = found.profile, [*found.controllers]
+    profile, order = found.told.profile, [*found.controllers]
     far = found.distances
     everyone = far.controllers if far else [*found.controllers.values()]
     blank = [Cell(MISSING)] * (len(everyone) - len(order))
@@ -223,8 +201,8 @@ def overall_table(found: Overall, prefix: str) -> Table:
         ]
         for factor in (1.0, _FACTOR)
     }
-    groups = letters(found.ranks.groups)
-    ranks = number_cells([found.ranks.ranks[key] for key in order], digits=3)
+    groups = letters(found.told.ranks.groups)
+    ranks = number_cells([found.told.ranks.ranks[key] for key in order], digits=3)
     columns = [
         (Heading("average rank"), [*ranks, *blank]),
         (Heading("group"), [*(Cell(groups[key]) for key in order), *blank]),
@@ -250,7 +228,7 @@ def overall_table(found: Overall, prefix: str) -> Table:
             "medians over the problems; total variation in pairs of the same scenario and seed.",
             SHARE_NOTE,
         )
-    caption = f"Controllers over {found.problems} problems"
+    caption = f"Controllers over {found.told.ranks.problems} problems"
     return controller_table(f"{prefix}overall", caption, everyone, columns, notes, "ranks.csv")
 
 
@@ -260,7 +238,7 @@ def overall_figures(found: Overall, prefix: str) -> list[Figure]:
 
 
 def _rank_figure(found: Overall, identifier: str) -> Figure:
-    half = found.ranks.critical_difference / 2
+    half = found.told.ranks.critical_difference / 2
     rows = [
         {
             "label": clipped(one.label),
@@ -270,17 +248,17 @@ def _rank_figure(found: Overall, identifier: str) -> Figure:
             "high": rank + half,
             "text": f"{one.label}: average rank {significant(rank, 3)}",
         }
-        for one, rank in zip(found.controllers.values(), found.ranks.ranks.values(), strict=True)
+        for one, rank in zip(found.controllers.values(), found.told.ranks.ranks.values(), strict=True)
     ]
     caption = (
-        f"Average ranks over {found.problems} problems, 1 being the best. Bars are as long as the critical "
-        "difference of Nemenyi's test at 5 %: controllers whose bars do not overlap are told apart"
+        f"Average ranks over {found.told.ranks.problems} problems, 1 being the best. Bars are as long as the "
+        "critical difference of Nemenyi's test at 5 %: controllers whose bars do not overlap are told apart"
     )
     none = (
         "; of two controllers none is, as it takes three"
-        if math.isnan(found.ranks.p)
+        if math.isnan(found.told.ranks.p)
         else ""
-        if found.ranks.p <= LEVEL
+        if found.told.ranks.p <= LEVEL
         else "; as Friedman's test finds none to differ, here none is"
     )
     return one_chart(identifier, "Average ranks", f"{caption}{none}.", rank_chart(rows))
@@ -289,14 +267,14 @@ def _rank_figure(found: Overall, identifier: str) -> Figure:
 def _profile_figure(found: Overall, identifier: str) -> Figure:
     controllers = [*found.controllers.values()]
     columns = [column_name(one) for one in controllers]
-    steps = np.searchsorted(found.profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
+    steps = np.searchsorted(found.told.profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
     drawn = np.unique(steps)  # of many thousand steps what can be seen
     rows = [
         {"key": column, "ratio": float(f"{ratio:.6g}"), "share": float(f"{share:.6g}")}
         for column, one in zip(columns, controllers, strict=True)
         for ratio, share in [
-            *zip(found.profile.ratios[drawn], found.profile.shares[one.key][drawn], strict=True),
-            (_WIDEST, found.profile.shares[one.key][drawn][-1]),
+            *zip(found.told.profile.ratios[drawn], found.told.profile.shares[one.key][drawn], strict=True),
+            (_WIDEST, found.told.profile.shares[one.key][drawn][-1]),
         ]
     ]
     caption = (

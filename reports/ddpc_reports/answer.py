@@ -7,18 +7,20 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.findings import Findings, Lead, Offer, offers_of
 from ddpc_cosim.study.verdicts.sentences import (
+    elsewhere_sentence,
+    failed_runs,
     italic,
     join_words,
     lead_clause,
+    not_counted_sentence,
     over_words,
     sentence,
-    some_of,
-    too_few_seeds_clause,
+    untested_sentence,
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings
-from ddpc_cosim.study.verdicts.statistics import Difference, compare
+from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import told_of_plant
@@ -28,8 +30,6 @@ from ddpc_reports.verdict import formatter, p_words
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
 _LONGEST_TOLD = 100
-_MUCH_LESS = 0.5
-"""From this part of a leader's on, a value of another is worth a word."""
 
 
 def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> Markup:
@@ -48,21 +48,24 @@ def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> 
     who = {one.key: one for condition in seen for one in condition.controllers}
     if told.lead is Lead.NOBODY and ranking.left_out:
         return Markup("")
-    clause = lead_clause(
-        told, {key: one.label for key, one in who.items()}, {one.scenario: one.label for one in seen}
-    )
+    labels = {key: one.label for key, one in who.items()}
+    clause = lead_clause(told, labels, {one.scenario: one.label for one in seen})
     counting = [one for one in seen if one.scenario not in ranking.left_out]
-    labels = [italic(one.label) for one in seen if one.scenario in ranking.left_out]
-    offers = _offers(told, who, counting)
+    unseen = [one.label for one in seen if one.scenario in ranking.left_out]
+    offers = {
+        offer.controller: _offer_words(offer, who, told.leaders, counting)
+        for offer in offers_of(results.study, results.cases, told)
+    }
     parts = [
-        sentence(clause) + _details(told, who, offers) + "." + _unsure(told),
+        sentence(clause) + _details(told, who, offers) + ".",
+        untested_sentence(told),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."
         if ranking.is_uneven
         else "",
-        _elsewhere(told, who, len(counting)) if told.leaders else "",
+        elsewhere_sentence(told, labels),
         _offered(ranking, who, offers),
         _failing(told, who),
-        Markup("Not counted, as every controller fails there: {}.").format(some_of(labels)) if labels else "",
+        not_counted_sentence(unseen),
     ]
     return Markup(" ").join(part for part in parts if part)
 
@@ -84,19 +87,6 @@ def _details(
         label, behind = who[told.following].label, _behind(ranking, first, told.following)
         text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
     return text
-
-
-def _elsewhere(told: Findings, who: dict[str, ControllerResults], scenarios: int) -> Markup:
-    """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
-    others, led = told.leads_elsewhere, told.scenarios_led
-    if not others:
-        return Markup("")
-    named = [italic(who[name].label) + f" ({count})" for name, count in others.items()]
-    it = "it leads" if len(told.leaders) == 1 else "one of them leads"
-    do = "does" if len(named) == 1 else "do"
-    together = ", some together" if sum(others.values()) > scenarios - led else ""
-    text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
-    return Markup(text).format(it, led or "none", scenarios, some_of(named), do, together)
 
 
 def _of_leaders(told: Findings, shown: Sequence[ControllerResults]) -> Markup:
@@ -180,32 +170,16 @@ def _ratio_words(ratio: float, factor: str) -> str:
     return factor.format(significant(ratio, 2))
 
 
-def _unsure(told: Findings) -> str:
-    """Say why nothing could be tested; nothing where it was."""
-    found = told.standings
-    if found.tested or len(found.order) < 2 or told.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
-        return ""
-    if found.seeds < 2:
-        return " How much that depends on the seed is not known."
-    return f" {too_few_seeds_clause(found.compared.values())}."
-
-
-def _offers(
-    told: Findings, who: dict[str, ControllerResults], counting: Sequence[Condition]
-) -> dict[str, list[str]]:
-    """Return what the best of those behind offer that the leaders do not."""
-    found = told.standings
-    leaders = [who[name] for name in told.leaders]
-    rest = [who[one.controller] for one in found.order if not one.failed and one.rank > 1]
-    if not leaders or not rest or len(found.keys) > 1:
-        return {}
-    offers: dict[str, list[str]] = {}
-    if all(_recorded(one) for one in leaders):
-        for one in [one for one in rest if not _recorded(one)][:1]:
-            offers.setdefault(one.key, []).append(f"learns from no recording{_but_told(counting, one)}")
-    if len(counting) == 1 and (settled := _settles_closest(counting[0], leaders, rest)):
-        offers.setdefault(settled[0], []).append(settled[1])
-    return offers
+def _offer_words(
+    offer: Offer, who: dict[str, ControllerResults], leaders: Sequence[str], counting: Sequence[Condition]
+) -> list[str]:
+    words = []
+    if offer.needs_no_recording:
+        words.append(f"learns from no recording{_but_told(counting, who[offer.controller])}")
+    if offer.key:
+        show, more = formatter(offer.key, 2), " or more" if len(leaders) > 1 else ""
+        words.append(f"settles to {show(offer.left)} in place of {show(offer.least)}{more}")
+    return words
 
 
 def _offered(
@@ -216,7 +190,7 @@ def _offered(
     for name, words in offers.items():
         ratio = found.ratio(found.keys[0], found.leaders[0], name)
         behind = "" if math.isnan(ratio) else f" ({_ratio_words(ratio, '{} times')})"
-        parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
+        parts.append(italic(who[name].label) + f"{behind} " + join_words(words))
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
 
 
@@ -229,33 +203,6 @@ def _but_told(counting: Sequence[Condition], one: ControllerResults) -> str:
     )
 
 
-def _recorded(one: ControllerResults) -> bool:
-    return any(case.recorded_samples for case in one.cases)
-
-
-def _settles_closest(
-    condition: Condition, leaders: Sequence[ControllerResults], rest: Sequence[ControllerResults]
-) -> tuple[str, str] | None:
-    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
-    keys = condition.keys("settled_error")
-    if len(keys) != 1:
-        return None
-    here = {one.key: one for one in condition.controllers}
-    values = {one.key: here[one.key].over_seeds(keys[0]).median for one in (*leaders, *rest)}
-    known = [one.key for one in rest if not math.isnan(values[one.key])]
-    if not known:
-        return None
-    name = min(known, key=values.__getitem__)
-    least = min((values[one.key] for one in leaders), default=math.nan)
-    differences = condition.compared(keys[0]).differences
-    sure = all((name, one.key) in differences and differences[name, one.key].told_apart for one in leaders)
-    if not sure or not values[name] <= _MUCH_LESS * least:
-        return None
-    show = formatter(keys[0], 2)
-    more = " or more" if len(leaders) > 1 else ""
-    return name, f"settles to {show(values[name])} in place of {show(least)}{more}"
-
-
 def _failing(told: Findings, who: dict[str, ControllerResults]) -> Markup:
     """Say of whom runs failed, of each how many, and who of them is ahead in those that did not."""
     if not told.failing or told.lead is Lead.ALL_FAIL:
@@ -266,10 +213,10 @@ def _failing(told: Findings, who: dict[str, ControllerResults]) -> Markup:
 
 
 def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
-    text = Markup("<b>{}</b> {} of {} runs").format(who[one.controller].label, one.failed, one.runs)
+    text = failed_runs(who[one.controller].label, one.failed, one.runs)
     if len(found.keys) == 1 and found.leaders:
         key, first = found.keys[0], found.leaders[0]
-        gain = compare(found.runs[key][first], found.runs[key][one.controller], metric_of(key).better)
+        gain = found.above(key, one.controller, first)
         if metric_of(key).better == "low" and gain.low > 0:
             ahead = Markup(" (in the others ahead of <i>{}</i> by {}{})")
             show = with_unit(significant(gain.median, 3), metric_unit(key))

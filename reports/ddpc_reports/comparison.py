@@ -11,10 +11,11 @@ from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
+from ddpc_cosim.study.verdicts.findings import ScenarioFindings
 from ddpc_cosim.study.verdicts.judgement import all_failed
 from ddpc_cosim.study.verdicts.shares import describe_shares, end_of, marked, shares_of
-from ddpc_cosim.study.verdicts.standings import Standings, counted, standings, summed
-from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, Sample, compare_all
+from ddpc_cosim.study.verdicts.standings import Standings, counted, summed
+from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, Sample
 from ddpc_cosim.texts import clipped
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
@@ -131,8 +132,8 @@ class Condition:
     results: StudyResults
     scenario: str
     controllers: tuple[ControllerResults, ...]
-    variants: tuple[ControllerResults, ...] = ()
-    _compared: dict[str, Comparisons] = field(default_factory=dict)
+    variants: tuple[ControllerResults, ...]
+    findings: ScenarioFindings
     _shares: dict[str, dict[str, Sample]] = field(default_factory=dict)
 
     @property
@@ -169,10 +170,10 @@ class Condition:
         """All cases of this condition."""
         return tuple(case for controller in self.controllers for case in controller.cases)
 
-    @cached_property
+    @property
     def standings(self) -> Standings:
         """Where the controllers stand in this condition."""
-        return standings(self.results.study, self.cases)
+        return self.findings.standings
 
     @cached_property
     def _keys(self) -> tuple[str, ...]:
@@ -201,21 +202,16 @@ class Condition:
 
     def may_win(self, one: ControllerResults) -> bool:
         """Whether a controller may be the best: it competes, and none of its runs failed."""
-        return not one.is_point and not one.failed
+        return one.key in self.findings.sound
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""
-        eligible = [one for one in self.controllers if self.may_win(one)]
-        return ranked(key, eligible, [one.over_seeds(key).median for one in eligible])
+        by_key = {one.key: one for one in self.controllers}
+        return [(value, by_key[name]) for name, value in self.findings.medians(key).items()]
 
     def compared(self, key: str) -> Comparisons:
         """Return the controllers that may be the best, compared each with each over the seeds."""
-        if key in self.standings.compared:
-            return self.standings.compared[key]
-        if key not in self._compared:
-            runs = {one.key: one.runs(key) for one in self.controllers if self.may_win(one)}
-            self._compared[key] = compare_all(runs, metric_of(key).better)
-        return self._compared[key]
+        return self.findings.compared(key)
 
     def not_told_apart(self, key: str) -> list[ControllerResults]:
         """Return those of a ranking that the seeds do not tell from its first; none if too few."""
@@ -257,13 +253,11 @@ def _condition(results: StudyResults, scenario: str) -> Condition:
     everyone = _controllers_in(results, scenario)
     sections = results.study.controllers
     varied = {one.key for one in everyone if one.key in sections and sections[one.key].variant_of}
-    return Condition(
-        results,
-        scenario,
-        # Reference points stand below those that compete.
-        tuple(sorted((one for one in everyone if one.key not in varied), key=lambda one: one.is_point)),
-        tuple(one for one in everyone if one.key in varied),
-    )
+    # Reference points stand below those that compete.
+    own = sorted((one for one in everyone if one.key not in varied), key=lambda one: one.is_point)
+    variants = tuple(one for one in everyone if one.key in varied)
+    found = ScenarioFindings(results.study, [case for one in own for case in one.cases])
+    return Condition(results, scenario, tuple(own), variants, found)
 
 
 def metric_keys(conditions: Iterable[Condition], name: str) -> tuple[str, ...]:

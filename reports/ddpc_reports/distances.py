@@ -11,7 +11,7 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
-from ddpc_cosim.study.verdicts.sentences import join_words, some_of
+from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
 from ddpc_cosim.study.verdicts.shares import describe_shares, floored, share_runs, shares_of
 from ddpc_cosim.study.verdicts.statistics import Runs, Sample, compare_all, describe
 from ddpc_cosim.tables import Heading, Table
@@ -157,7 +157,7 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
         none = Markup("There is no way to go between the reference points in any problem: no shares.")
         return [Statement("Distance", none)]
     order = sorted(known, key=lambda one: -far.overall[one.key].median)
-    parts = [Markup("<i>{}</i> {}").format(one.label, _reach(far, one.key)) for one in order[:_NAMED]]
+    parts = [italic(one.label) + " " + _reach(far, one.key) for one in order[:_NAMED]]
     if more := order[_NAMED:]:
         words = share_words(far.overall[more[-1].key])
         parts.append(Markup("{} more, the last, <i>{}</i>, {}").format(len(more), more[-1].label, words))
@@ -171,7 +171,7 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
         text += Markup(" In {} there is no way to go.").format(join_words(far.without))
     by_key = {one.key: one for one in far.controllers}
     where = [(name, _ahead_words(far, name, by_key)) for name in far.ahead]
-    costs = [Markup("<i>{}</i> {}").format(by_key[key].label, _cost_words(far, key)) for key in first]
+    costs = [italic(by_key[key].label) + f" {_cost_words(far, key)}" for key in first]
     cost = Markup("; ").join(
         [*costs[:_NAMED], *([f"{len(costs) - _NAMED} more below"] if costs[_NAMED:] else [])]
     )
@@ -195,7 +195,7 @@ def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerRe
     first, *alike = [by_key[key] for key in far.ahead[problem] if key in by_key]
     if failed_mostly(far.problems[problem][first.key]):
         return Markup("at least half of the runs of every controller failed.")
-    text = Markup("<i>{}</i> {}").format(first.label, share_words(far.problems[problem][first.key]))
+    text = italic(first.label) + f" {share_words(far.problems[problem][first.key])}"
     if alike:
         text += Markup(", which the seeds do not show to be ahead of {}").format(some_of(names(alike)))
     return text + "."

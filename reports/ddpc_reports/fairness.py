@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import TunedSection
-from ddpc_cosim.study.verdicts.sentences import join_words, some_of
+from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
 from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
@@ -70,7 +70,7 @@ def _by_scenario(conditions: Sequence[Condition], said_in: Callable[[Condition],
     """Return what may differ from scenario to scenario, once for those that are alike."""
     said: dict[_Said, list[Markup]] = {}
     for condition in conditions:
-        said.setdefault(said_in(condition), []).append(Markup("<i>{}</i>").format(condition.label))
+        said.setdefault(said_in(condition), []).append(italic(condition.label))
     if len(said) == 1:
         return list(said)
     told = [(some_of(labels), one.text) for one, labels in said.items()]

@@ -42,8 +42,8 @@ from ddpc_reports.sensitivity import (
 )
 from ddpc_reports.shares import share_statements
 from ddpc_reports.tables.cases import cases_table, step_time_table
-from ddpc_reports.tables.claims import claims_table
 from ddpc_reports.tables.controllers import (
+    claims_table,
     limits_table,
     reproduction_statements,
     reproduction_table,

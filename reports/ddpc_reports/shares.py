@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_name
-from ddpc_cosim.study.verdicts.sentences import join_words
+from ddpc_cosim.study.verdicts.sentences import italic, join_words
 from ddpc_cosim.study.verdicts.shares import FLOOR, NEGLIGIBLE
 from ddpc_cosim.study.verdicts.statistics import Sample
 from ddpc_cosim.tables import Cell, Heading
@@ -140,9 +140,7 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
     order = sorted(found, key=lambda name: -found[name].median)
     ahead = [name for name in order if found[name].median > 0]
     parts = [
-        Markup("<i>{}</i> {}{}").format(
-            by_key[name].label, share_words(found[name]), interval_words(found[name])
-        )
+        italic(by_key[name].label) + f" {share_words(found[name])}{interval_words(found[name])}"
         for name in ahead[:_NAMED]
     ]
     if more := ahead[_NAMED:]:

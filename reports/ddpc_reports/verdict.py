@@ -10,7 +10,16 @@ from markupsafe import Markup
 from ddpc_cosim import CaseResult
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import metric_name, split_key
-from ddpc_cosim.study.verdicts.sentences import bold, italic, join_words, some_of, too_few_seeds_clause
+from ddpc_cosim.study.verdicts.sentences import (
+    ahead_in_pairs_clause,
+    bold,
+    italic,
+    join_words,
+    level_clause,
+    sentence,
+    some_of,
+    too_few_seeds_clause,
+)
 from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
@@ -56,7 +65,7 @@ def findings(condition: Condition, part: Part) -> list[Statement]:
         return [Statement("Step time", _times(condition))]
     bounds = [Statement("Bounds", _violations(condition))] if part == "limits" else []
     if condition.all_failed:
-        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.all_failed)
+        nothing = bold(condition.all_failed) + ", so nothing is ranked."
         return [Statement("Reference", nothing)] if part == "distribution" else bounds
     if part == "distribution":
         return tracking(condition)
@@ -89,7 +98,7 @@ def _all_completed(condition: Condition) -> Markup:
 def _completed_and_failed(condition: Condition) -> Markup:
     """Name the controllers of which runs completed and failed; nothing without any."""
     counts = [(len(one.completed) - len(one.succeeded), one) for one in condition.contenders]
-    who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
+    who = [bold(one.label) + f" {n} of {len(one.cases)}" for n, one in counts if n]
     if not who:
         return Markup("")
     return Markup(
@@ -101,23 +110,19 @@ def _completed_and_failed(condition: Condition) -> Markup:
 def _ended_early(one: ControllerResults) -> Markup:
     cases = [case for case in one.cases if case not in one.completed]
     outcomes = ", ".join(dict.fromkeys(str(case.outcome) for case in cases))
-    return Markup("<b>{}</b> {} of {} ({})").format(one.label, len(cases), len(one.cases), outcomes)
+    return bold(one.label) + f" {len(cases)} of {len(one.cases)} ({outcomes})"
 
 
 def _violations(condition: Condition) -> Markup:
     bounds = [trace.bounds for trace in condition.first_traces.values()]
     if bounds and not any(np.isfinite([one.y_min, one.y_max]).any() for one in bounds):
         return Markup("The outputs have no limits here.")
-    offenders = []
-    for key in condition.keys("bound_violation_max"):
-        for one in condition.controllers:
-            worst = one.over_seeds(key).high
-            if worst > 0:
-                offenders.append(
-                    Markup("<i>{}</i> by up to {} ({})").format(
-                        one.label, formatter(key, 3)(worst), metric_signal(key)
-                    )
-                )
+    offenders = [
+        italic(one.label) + f" by up to {formatter(key, 3)(worst)} ({metric_signal(key)})"
+        for key in condition.keys("bound_violation_max")
+        for one in condition.controllers
+        if (worst := one.over_seeds(key).high) > 0
+    ]
     if not offenders:
         return Markup("No output went beyond its limits in a completed case.")
     return Markup("Outputs went beyond their limits with {}.").format(join_words(offenders))
@@ -144,16 +149,13 @@ def _times(condition: Condition) -> Markup:
 def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
     unsure = condition.not_told_apart(key)
-    words = Markup("; the seeds do not tell it apart from {}").format
-    return (words(some_of(names(unsure))) if unsure else Markup("")) + _in_pairs(condition, key)
+    return ("; " + level_clause(names(unsure)) if unsure else Markup("")) + _in_pairs(condition, key)
 
 
 def _in_pairs(condition: Condition, key: str) -> Markup:
     """Name those that are ahead of the first seed by seed, despite its median; nothing without any."""
     ahead = names(condition.ahead_in_pairs(key))
-    be = "is" if len(ahead) == 1 else "are"
-    words = Markup("; in pairs of the same seed {} {} ahead of it").format
-    return words(some_of(ahead), be) if ahead else Markup("")
+    return "; " + ahead_in_pairs_clause(ahead) if ahead else Markup("")
 
 
 def _among(condition: Condition) -> str:
@@ -163,9 +165,10 @@ def _among(condition: Condition) -> str:
 
 def _deadlines(condition: Condition) -> Markup:
     sampling_time = condition.results.study.loop.sampling_time
-    late = [(one.total("deadline_misses [1]"), one.label) for one in condition.controllers]
     missed = [
-        Markup("<i>{}</i> ({})").format(label, counted(count, "step")) for count, label in late if count
+        italic(one.label) + f" ({counted(count, 'step')})"
+        for one in condition.controllers
+        if (count := one.total("deadline_misses [1]"))
     ]
     if missed:
         return Markup("Steps longer than the sampling time of {}: {}.").format(
@@ -185,11 +188,10 @@ def _longest_steps(cases: Sequence[CaseResult]) -> list[float]:
 
 
 def _fallbacks(condition: Condition) -> Markup:
-    counts = [(one.total("failures [1]"), one) for one in condition.controllers]
     who = [
-        Markup("<i>{}</i> at {}").format(one.label, counted(count, "sample"))
-        for count, one in counts
-        if count
+        italic(one.label) + f" at {counted(count, 'sample')}"
+        for one in condition.controllers
+        if (count := one.total("failures [1]"))
     ]
     if not who:
         return Markup("No controller reported a fallback.")
@@ -241,7 +243,7 @@ def _in_short(condition: Condition, key: str) -> Markup:
     unsure = condition.not_told_apart(key)
     if unsure:
         values = {one.key: show(value) for value, one in order}
-        named = [Markup("<i>{}</i> {}").format(one.label, values[one.key]) for one in unsure]
+        named = [italic(one.label) + f" {values[one.key]}" for one in unsure]
         text += Markup(", not told apart from {}").format(some_of(named))
     elif len(order) > len(alike):
         value, next_one = order[len(alike)]
@@ -295,7 +297,7 @@ def least_travel(condition: Condition) -> list[Statement]:
     text = Markup(" Its {} is far from the best, though: {} against {}.").format(
         metric_name(costs[0]), show(own), show(tracks[0][0])
     )
-    return [Statement(topic, sentence + text) for topic, sentence in statements]
+    return [Statement(topic, travel + text) for topic, travel in statements]
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
@@ -394,14 +396,11 @@ def _told_apart(condition: Condition, key: str) -> Markup:
             among, sure, _in_pairs(condition, key)
         )
     named = [
-        Markup("<i>{}</i> ({}, corrected p {})").format(
-            one.label, _difference(others[one.key], key), p_words(others[one.key].corrected, "= ")
-        )
+        italic(one.label)
+        + f" ({_difference(others[one.key], key)}, corrected p {p_words(others[one.key].corrected, '= ')})"
         for one in unsure
     ]
-    return Markup(" The seeds do not tell it apart from {}{}.").format(
-        some_of(named), _in_pairs(condition, key)
-    )
+    return " " + sentence(level_clause(named)) + _in_pairs(condition, key) + "."
 
 
 def _difference(found: Difference, key: str) -> str:
@@ -517,13 +516,13 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
 def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     """Name the scenarios in which the seeds do not tell the first apart from others."""
     where = [
-        Markup("<i>{}</i> (from {})").format(condition.label, some_of(names(unsure)))
+        italic(condition.label) + " (from " + some_of(names(unsure)) + ")"
         for condition in conditions
         if (unsure := condition.not_told_apart(key))
     ]
     text = Markup(" The seeds do not tell the first apart in {}.").format(join_words(where)) if where else ""
     behind = [
-        Markup("<i>{}</i> ({})").format(condition.label, some_of(names(ahead)))
+        italic(condition.label) + " (" + some_of(names(ahead)) + ")"
         for condition in conditions
         if (ahead := condition.ahead_in_pairs(key))
     ]

@@ -411,7 +411,7 @@ class Broken(Reference):
         ({"delay": {"y": 0.5}}, 'delay: no signal "y"'),
         (
             {"delay": {"x": 0.6}},
-            "delay of x: 0.6 s is not a whole number of samples of 0.5 s; nearest: 0.5 or 1",
+            "delay of x: 0.6 s is not an integer multiple of the sampling time of 0.5 s; nearest: 0.5 or 1",
         ),
         ({"delay": {"x": 20.0}}, "delay of x: 20 s is too long: the run ends after 20 s"),
         ({"disturbances": {"a": Broken()}}, "disturbances of a: nan at t = 3 s; needed: finite"),

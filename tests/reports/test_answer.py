@@ -280,7 +280,7 @@ def test_leaders_that_are_told_apart_by_too_little_are_told_to_be_no_better_by_e
     )
     told = said(having(results, {"a": lambda s, n: 2.0, "b": lambda s, n: 2.1 + 0.05 * n}))
     assert told.startswith(
-        "a and b lead over 12 seeds and none of them is told to be better by enough to matter: "
+        "a and b lead over 12 seeds and none of them is significantly better by enough to matter: "
         "mean absolute error 2.00° and 2.38°, paired difference from the first +0.375° ["
     )
 

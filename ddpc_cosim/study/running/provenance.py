@@ -21,6 +21,7 @@ from ddpc_cosim.plugins import package_of, package_version, types_in
 from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.texts import recorded
+from fmu_plants.commands import captured
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.file_format.study_files import StudyFile
@@ -108,8 +109,9 @@ def commit_of(file: Path) -> str:
 
     def git(*words: str) -> str:
         command = ["git", "-C", str(file.resolve().parent), "-c", "core.fsmonitor=false", *words]
-        done = subprocess.run(command, capture_output=True, check=True, timeout=_GIT_SECONDS, env=own)
-        return done.stdout.decode(errors="replace").strip()
+        done = captured(command, _GIT_SECONDS, env=own)
+        done.check_returncode()
+        return done.stdout.strip()
 
     try:
         git("ls-files", "--error-unmatch", "--", file.name)

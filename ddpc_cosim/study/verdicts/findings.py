@@ -1,15 +1,19 @@
-"""What the results of one problem show, as data: who is ahead, how sure that is, does it matter, who failed.
+"""What results show, as data: who is ahead, how sure that is, does it matter, who failed.
 
-Page, terminal, files and Python ask here, and put it into their own words.
+Page, terminal, files and Python ask here: of one problem, and over all problems of a study.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from itertools import combinations
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
 
-from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.metrics import metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.judgement import (
@@ -17,11 +21,28 @@ from ddpc_cosim.study.verdicts.judgement import (
     Remark,
     scenario_labels,
     scenario_remarks,
+    set_aside,
     unsettled,
 )
 from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
-from ddpc_cosim.study.verdicts.standings import Standing, Standings, standings
+from ddpc_cosim.study.verdicts.ranks import (
+    RANKED,
+    AverageRanks,
+    Profile,
+    problems_frame,
+    profile_frame,
+    ranks_frame,
+)
+from ddpc_cosim.study.verdicts.standings import Standing, Standings, known_values, standings
+from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, compare_all
 from ddpc_cosim.texts import printable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SETTLED_ERROR = "settled_error"
+_MUCH_LESS = 0.5
+"""From this part of a leader's on, a value of another is worth a word."""
 
 
 class Lead(StrEnum):
@@ -34,7 +55,7 @@ class Lead(StrEnum):
     BY_SCENARIO = "scenarios disagree"
     AHEAD = "it is ahead of all others"
     BEST_MEDIAN = "it has the best median, and the seeds are too few for a test"
-    LEVEL = "nobody is told to be better by enough to matter"
+    LEVEL = "no controller is significantly better by enough to matter"
     ALIKE = "no difference between them matters"
 
 
@@ -70,7 +91,7 @@ class Findings:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the seeds tell that nobody is better than the leaders: only then are they set in bold."""
+        """Whether by the seeds no controller is better than the leaders: only then are they set in bold."""
         sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
         return self.lead in sure and (self.standings.tested or self.lead is Lead.ONLY_SOUND)
 
@@ -98,6 +119,110 @@ class Findings:
         return dict(others.most_common())
 
 
+@dataclass(frozen=True, eq=False)
+class ScenarioFindings:
+    """What the runs of one scenario show, metric by metric.
+
+    Parameters
+    ----------
+    study : Study
+        The study, of one problem.
+    cases : sequence of CaseResult
+        The runs.
+    """
+
+    study: Study
+    cases: Sequence[CaseResult]
+    _compared: dict[str, Comparisons] = field(default_factory=dict)
+
+    @cached_property
+    def standings(self) -> Standings:
+        """Where the controllers stand in it."""
+        return standings(self.study, self.cases)
+
+    @cached_property
+    def sound(self) -> dict[str, list[CaseResult]]:
+        """The runs of those that compete and of which none failed: only these may be the best."""
+        aside, runs = set_aside(self.study), dict[str, list[CaseResult]]()
+        for case in self.cases:
+            if case.controller not in aside:
+                runs.setdefault(case.controller, []).append(case)
+        return {name: own for name, own in runs.items() if not any(case.failed for case in own)}
+
+    def medians(self, key: str) -> dict[str, float]:
+        """Return the medians of those that may be the best, the best first; equal ones as in the study."""
+        values = {name: known_values(own, key) for name, own in self.sound.items()}
+        medians = {name: median(known) for name, known in values.items() if known}
+        return dict(sorted(medians.items(), key=lambda item: metric_of(key).rank(item[1])))
+
+    def compared(self, key: str) -> Comparisons:
+        """Return those that may be the best, compared each with each over the seeds."""
+        if key in self.standings.compared:
+            return self.standings.compared[key]
+        if key not in self._compared:
+            runs: dict[str, Runs] = {
+                name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in own}
+                for name, own in self.sound.items()
+            }
+            self._compared[key] = compare_all(runs, metric_of(key).better)
+        return self._compared[key]
+
+
+class Offer(NamedTuple):
+    """What a controller behind the leaders offers that none of them does.
+
+    Parameters
+    ----------
+    controller : str
+        Its name in the study.
+    needs_no_recording : bool
+        Whether it learns from no recording, where every leader does.
+    key : str
+        The metric of what is left of a step, where it leaves half of what each leader leaves, or less; empty:
+        it does not.
+    left, least : float
+        That of the controller, and the least of a leader.
+    """
+
+    controller: str
+    needs_no_recording: bool
+    key: str = ""
+    left: float = math.nan
+    least: float = math.nan
+
+
+@dataclass(frozen=True)
+class OverallFindings:
+    """What the results of several problems show of their controllers over all of them.
+
+    Parameters
+    ----------
+    standings : tuple of Standings
+        Of each problem.
+    cases : dict of str to list of CaseResult
+        By controller, in the scenarios that count: variants and reference points too.
+    ranks : AverageRanks
+        Average ranks, of two controllers or more.
+    frame : pandas.DataFrame
+        The runs that these are of.
+    """
+
+    standings: tuple[Standings, ...]
+    cases: dict[str, list[CaseResult]]
+    ranks: AverageRanks
+    frame: "pd.DataFrame"
+
+    @cached_property
+    def profile(self) -> Profile:
+        """Performance profile."""
+        return profile_frame(self.frame, RANKED)
+
+    @property
+    def failed(self) -> dict[str, tuple[int, int]]:
+        """By controller, the runs that failed, and all runs."""
+        return {name: (sum(case.failed for case in own), len(own)) for name, own in self.cases.items()}
+
+
 def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     """Return what cases of one problem show."""
     everything = [*cases]
@@ -112,6 +237,71 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
         worse,
         tuple(_remarks(study, everything, worse)),
     )
+
+
+def offers_of(study: Study, cases: Sequence[CaseResult], told: Findings) -> list[Offer]:
+    """Return what the best of those behind offer that the leaders do not, each controller once.
+
+    Of several outputs, and where nobody leads or nobody is behind, there is nothing to tell.
+    """
+    found, leaders = told.standings, told.leaders
+    rest = [one.controller for one in found.order if not one.failed and one.rank > 1]
+    if not leaders or not rest or len(found.keys) > 1:
+        return []
+    offers: dict[str, Offer] = {}
+    learned = {case.controller for case in cases if case.recorded_samples}
+    if learned >= {*leaders} and (name := next((name for name in rest if name not in learned), "")):
+        offers[name] = Offer(name, needs_no_recording=True)
+    counting = [case for case in cases if case.scenario not in found.left_out]
+    only = ScenarioFindings(study, counting) if len({case.scenario for case in counting}) == 1 else None
+    if only and (closest := _settles_closest(only, leaders, rest)):
+        name = closest.controller
+        offers[name] = closest._replace(needs_no_recording=name in offers)
+    return [*offers.values()]
+
+
+def _settles_closest(found: ScenarioFindings, leaders: Sequence[str], rest: Sequence[str]) -> Offer | None:
+    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
+    every = dict.fromkeys(key for case in found.cases for key in case.metrics)
+    keys = [key for key in every if split_key(key)[0] == _SETTLED_ERROR]
+    if len(keys) != 1:
+        return None
+    (key,) = keys
+    medians = found.medians(key)
+    known = [name for name in rest if name in medians]
+    if not known:
+        return None
+    name = min(known, key=medians.__getitem__)
+    least = min((medians.get(leader, math.nan) for leader in leaders), default=math.nan)
+    differences = [found.compared(key).differences.get((name, leader)) for leader in leaders]
+    sure = all(difference and difference.told_apart for difference in differences)
+    if not sure or not medians[name] <= _MUCH_LESS * least:
+        return None
+    return Offer(name, needs_no_recording=False, key=key, left=medians[name], least=least)
+
+
+def overall_findings(problems: Iterable[tuple[Study, Sequence[CaseResult]]]) -> OverallFindings | None:
+    """Return what several problems show over all; None where fewer than two of either can be compared.
+
+    Raises
+    ------
+    ConfigError
+        In a problem, the controllers share no run.
+    """
+    everything = [*problems]
+    found = tuple(standings(study, cases) for study, cases in everything)
+    frame = problems_frame(found)
+    if frame is None:
+        return None
+    ranks = ranks_frame(frame, RANKED)
+    if len(ranks.ranks) < 2:
+        return None
+    by_controller: dict[str, list[CaseResult]] = {}
+    for (_, cases), of_problem in zip(everything, found, strict=True):
+        for case in cases:
+            if case.scenario not in of_problem.left_out:
+                by_controller.setdefault(case.controller, []).append(case)
+    return OverallFindings(found, by_controller, ranks, frame)
 
 
 def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview]) -> Iterator[Remark]:

@@ -89,7 +89,7 @@ def _level(told: Findings, controllers: Labels, over: str) -> Markup:
     if told.lead is Lead.ALIKE:
         how = ", and no difference between them matters"
     elif told.tells_leaders_apart:
-        how = " and none of them is told to be better by enough to matter"
+        how = " and none of them is significantly better by enough to matter"
     return Markup("{} lead {}{}").format(who, over, how)
 
 
@@ -116,6 +116,51 @@ def _fewest_failed(ranking: Standings, controllers: Labels) -> Markup:
     )
 
 
+def elsewhere_sentence(told: Findings, controllers: Labels) -> Markup:
+    """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
+    others, led, scenarios = told.leads_elsewhere, told.scenarios_led, len(told.standings.by_scenario)
+    if not told.leaders or not others:
+        return Markup("")
+    named = [italic(controllers[name]) + f" ({count})" for name, count in others.items()]
+    it = "it leads" if len(told.leaders) == 1 else "one of them leads"
+    do = "does" if len(named) == 1 else "do"
+    together = ", some together" if sum(others.values()) > scenarios - led else ""
+    text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
+    return Markup(text).format(it, led or "none", scenarios, some_of(named), do, together)
+
+
+def untested_sentence(told: Findings) -> str:
+    """Say why nothing could be tested; nothing where it was, or there is nothing to test."""
+    found = told.standings
+    if found.tested or len(found.order) < 2 or told.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
+        return ""
+    if found.seeds < 2:
+        return "How much that depends on the seed is not known."
+    return f"{too_few_seeds_clause(found.compared.values())}."
+
+
+def failed_runs(label: str, failed: int, runs: int) -> Markup:
+    """Say how many runs of a controller failed, after its name."""
+    return bold(label) + f" {failed} of {runs} runs"
+
+
+def not_counted_sentence(names: Sequence[str]) -> Markup:
+    """Name the problems or scenarios in which every controller fails; nothing without any."""
+    text = Markup("Not counted, as every controller fails there: {}.")
+    return text.format(some_of([italic(name) for name in names])) if names else Markup("")
+
+
+def level_clause(names: Sequence[Markup], by: str = "the seeds") -> Markup:
+    """Say who may be as good as the first of a ranking, and by what."""
+    return Markup("{} do not tell it apart from {}").format(by, some_of(names))
+
+
+def ahead_in_pairs_clause(names: Sequence[Markup]) -> Markup:
+    """Say who is ahead of the first of a ranking seed by seed, despite its median."""
+    be = "is" if len(names) == 1 else "are"
+    return Markup("in pairs of the same seed {} {} ahead of it").format(some_of(names), be)
+
+
 def too_few_seeds_clause(comparisons: Iterable[Comparisons]) -> str:
     """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
     few = [one for one in comparisons if one.too_few_seeds]
@@ -134,8 +179,8 @@ def best_rank_clause(ranks: AverageRanks, controllers: Labels, rank: str = "") -
     text = Markup("over {} problems, {} has the best average rank").format(ranks.problems, name)
     text += f", {rank}" if rank else ""
     if level:
-        others = some_of([italic(controllers[other]) for other in level])
-        text += Markup("; the problems do not tell it apart from {}").format(others)
+        others = [italic(controllers[other]) for other in level]
+        text += "; " + level_clause(others, by="the problems")
     return text
 
 

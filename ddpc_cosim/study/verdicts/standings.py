@@ -226,8 +226,8 @@ class Standings:
 
         They are of two controllers without a failed run, each of which leads over all scenarios or in one.
         Their difference changes between two scenarios by more than chance explains and by enough to matter,
-        and one of them is told to be better in the one scenario, and not so in the other. That a lead is
-        larger in one scenario than in another takes it from nobody.
+        and one of them is significantly better in the one scenario, and not so in the other. A lead that is
+        larger in one scenario than in another is still a lead.
         """
         if not self.tested or not self.by_scenario:
             return ()
@@ -312,7 +312,7 @@ class Standings:
         return median(sizes) if sizes else math.nan
 
     def _changes(self, key: str, pair: tuple[str, str], one: str, other: str) -> bool:
-        """Return whether one of two controllers is told to be better in one scenario, and not in another."""
+        """Return whether one of two is significantly better in one scenario, and not in another."""
         here = [self.by_scenario[name] for name in (one, other)]
         ran = all({*pair} <= found.failed.keys() for found in here)
         return ran and len({found._worse_in(key, *pair) for found in here}) > 1

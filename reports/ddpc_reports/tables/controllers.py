@@ -1,4 +1,4 @@
-"""Controllers compared: in one scenario, from scenario to scenario, and with published values."""
+"""Controllers compared: in one scenario, with published values, and with what a source claims of them."""
 
 import math
 from collections.abc import Sequence
@@ -7,16 +7,21 @@ from typing import NamedTuple
 
 from markupsafe import Markup
 
+from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
-from ddpc_cosim.study.file_format.sections import PublishedMethod, Reproduction
+from ddpc_cosim.study.file_format.sections import ClaimSection, PublishedMethod, Reproduction
+from ddpc_cosim.study.verdicts.claims import check_claims
+from ddpc_cosim.study.verdicts.sentences import italic
 from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
     Spread,
+    labels,
     metric_signal,
     metric_unit,
+    metric_words,
     shown_as,
     spread,
 )
@@ -209,14 +214,11 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
 
 def _times_words(order: list[tuple[float, str]]) -> Markup:
     least = order[0][0]
-    first = Markup("<i>{}</i>").format(order[0][1])
     rest = [
-        Markup("<i>{}</i> (about {} times as long)").format(label, significant(value / least, 2))
-        if least > 0
-        else Markup("<i>{}</i>").format(label)
+        italic(label) + (f" (about {significant(value / least, 2)} times as long)" if least > 0 else "")
         for value, label in order[1:]
     ]
-    return Markup(", ").join([first, *rest])
+    return Markup(", ").join([italic(order[0][1]), *rest])
 
 
 def _is_step_time(key: str) -> bool:
@@ -293,3 +295,42 @@ def _range(seeds: Spread, scale: float) -> Cell:
     if not seeds.varies:
         return Cell(MISSING)
     return Cell(f"{significant(seeds.low * scale)} … {significant(seeds.high * scale)}")
+
+
+def claims_table(results: StudyResults, prefix: str) -> Table | None:
+    """Return a row per claim: whether it holds, and in how many runs of each scenario; None without any."""
+    study = results.study
+    checked = check_claims(study, results.cases)
+    if not checked:
+        return None
+    ran = [name for name in study.scenarios if any(name in claim.runs for claim in checked)]
+    rows = []
+    for section, claim in zip(study.report.claims, checked, strict=True):
+        counts = [claim.runs.get(name, (0, 0)) for name in ran]
+        cells = [Cell(f"{true} of {judged}" if judged else MISSING, true) for true, judged in counts]
+        verdict = Cell(claim.verdict, failed=claim.judged > 0 and not claim.true)
+        rows.append(Row(claim.text, (verdict, Cell(_checked_by(section, results)), *cells)))
+    titles = [study.scenarios[name].label or name for name in ran] if len(ran) > 1 else ["runs"]
+    headings = (
+        *text_headings("Claim", "here it", "checked by"),
+        *(Heading(title, "runs" if len(ran) > 1 else "") for title in titles),
+    )
+    source = f"What is claimed in {study.source}" if study.source else "What is claimed"
+    notes = (
+        "A claim is checked on each seed of a scenario. It is not so where a controller that it is of "
+        "failed, and cannot be judged where only another failed, or has no such figure.",
+    )
+    return Table(f"{prefix}claims", source, headings, tuple(rows), notes, download="claims.csv")
+
+
+def _checked_by(claim: ClaimSection, results: StudyResults) -> str:
+    """Say what has to be so for a claim to be so."""
+    name = labels(results)
+    what = metric_words(claim.metric)
+    if claim.order:
+        return f"{what}: {' < '.join(name.get(key, key) for key in claim.order)}"
+    if claim.alike:
+        who = name.get(claim.alike, claim.alike)
+        return f"{what}: no more than {as_given(claim.within)} % apart over the sweep of {who}"
+    kind, who = ("lowest", claim.lowest) if claim.lowest else ("highest", claim.highest)
+    return f"{what}: {kind} with {name.get(who, who)}"

@@ -220,7 +220,10 @@ def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) 
     ("absolute", "line"),
     [
         (20.0, "deepc and pid lead over 12 seeds, and no difference between them matters"),
-        (9.1, "deepc and pid lead over 12 seeds and none of them is told to be better by enough to matter"),
+        (
+            9.1,
+            "deepc and pid lead over 12 seeds and none of them is significantly better by enough to matter",
+        ),
     ],
 )
 def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) -> None:

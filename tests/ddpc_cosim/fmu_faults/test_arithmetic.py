@@ -1,12 +1,10 @@
 """FMUs that change how the process computes: no figure of a controller or a metric is another one for it."""
 
 import ctypes
-import platform
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from studies import run_file, study_text, write
 from ddpc_cosim import Action, Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, Trace, cosimulate
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, departures
 from ddpc_cosim.study.case_files import read_run, read_trace
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 from .loop import FAULT_TIME, H
 
@@ -24,7 +23,11 @@ WORDS = {
     Fault.ROUND_TO_ZERO: "this process now rounds towards zero",
     Fault.FLUSH_DENORMALS: "this process now takes denormal numbers for zero",
 }
-_UPWARD = MappingProxyType({"x86_64": 0x800, "AMD64": 0x800, "aarch64": 0x400000, "arm64": 0x400000})
+_ROUNDING = """
+#include <fenv.h>
+__attribute__((visibility("default"))) int round_up(void) { return fesetround(FE_UPWARD); }
+__attribute__((visibility("default"))) int round_to_nearest(void) { return fesetround(FE_TONEAREST); }
+"""
 
 
 @dataclass(kw_only=True)
@@ -152,21 +155,29 @@ def test_in_a_study(fast_math_fmu: Path, faulty_fmus: dict[int, Path], tmp_path:
     assert_same_figures(traces["fast"], traces["faulty2"])
 
 
-@pytest.mark.skipif(platform.machine() not in _UPWARD, reason="C's number for it is not known")
-def test_whoever_computes_otherwise_goes_on_so(faulty_fmus: dict[int, Path]) -> None:
+@pytest.fixture
+def rounding(tmp_path: Path) -> ctypes.CDLL:
+    """C's own functions: the numbers of the ways to round are those of the machine."""
+    compiler = find_compiler()
+    library = tmp_path / f"rounding{compiler.platform.suffix}"
+    functions = ["round_up", "round_to_nearest"]
+    library.write_bytes(compile_library(compiler, {"rounding.c": _ROUNDING}, functions))
+    return ctypes.CDLL(str(library))
+
+
+def test_whoever_computes_otherwise_goes_on_so(rounding: ctypes.CDLL, faulty_fmus: dict[int, Path]) -> None:
     """What is put back is what was there before, the caller's own included; that is not the FMU's fault."""
-    own = ctypes.PyDLL(None)
     with FMUPlant(faulty_fmus[2]) as plant, warnings.catch_warnings():
         warnings.simplefilter("error")
         plant.reset()
         try:
-            own.fesetround(_UPWARD[platform.machine()])
+            assert rounding.round_up() == 0
             plant.step(np.ones(1), H)
             after_a_step = departures()
             with KeptArithmetic():
-                own.fesetround(0)
+                rounding.round_to_nearest()
             after_another = departures()
         finally:
-            own.fesetround(0)
+            rounding.round_to_nearest()
         assert plant.warnings == ()
     assert (after_a_step, after_another) == ("rounds up", "rounds up")

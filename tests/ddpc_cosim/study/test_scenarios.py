@@ -218,7 +218,7 @@ def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
         ),
         (
             "delay = { level_1 = 6.0 }",
-            "delay.level_1: 6 s is not a whole number of samples of 5 s; nearest: 5 or 10 s",
+            "delay.level_1: 6 s is not an integer multiple of the sampling time of 5 s; nearest: 5 or 10 s",
         ),
         (
             "delay = { level_1 = 100.0 }",

@@ -1,5 +1,6 @@
 """What results show is data: in which way controllers lead, how sure that is, who failed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,20 +10,27 @@ import pytest
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.codec import read
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
+from ddpc_cosim.study.verdicts.findings import (
+    Findings,
+    Lead,
+    ScenarioFindings,
+    findings_of,
+    offers_of,
+    overall_findings,
+)
 
-KEY = "mean_abs_error.y [K]"
+KEY, LEFT = "mean_abs_error.y [K]", "settled_error.y [%]"
 
 
-def found(
+def runs(
     levels: dict[str, float | dict[str, float]],
     *,
     seeds: int = 8,
     failed: dict[str, int] | None = None,
     jitter: float = 0.01,
     **changes: Any,
-) -> Findings:
-    """Return findings of controllers about whose level of error, by scenario, the seeds scatter."""
+) -> tuple[Study, list[CaseResult]]:
+    """Return runs of controllers about whose level of error, by scenario, the seeds scatter."""
     rng = np.random.default_rng(5)
     table = {name: of if isinstance(of, dict) else {"nominal": of} for name, of in levels.items()}
     scenarios = {scenario: {} for scenario in dict.fromkeys(s for of in table.values() for s in of)}
@@ -60,7 +68,11 @@ def found(
         for scenario, level in of.items()
         for seed in range(seeds)
     ]
-    return findings_of(study, cases)
+    return study, cases
+
+
+def found(levels: dict[str, float | dict[str, float]], **how: Any) -> Findings:
+    return findings_of(*runs(levels, **how))
 
 
 def test_one_that_is_told_from_all_is_ahead_and_sure() -> None:
@@ -118,3 +130,41 @@ def test_where_every_run_fails_a_remark_says_so() -> None:
     (remark,) = found({"a": 1.0}, failed={"a": 8}).remarks
     assert remark.is_failure
     assert remark.text.startswith("Every controller fails")
+
+
+def test_in_a_scenario_only_those_without_a_failed_run_are_compared() -> None:
+    seen = ScenarioFindings(*runs({"c": 3.0, "a": 1.0, "b": 2.0}, failed={"b": 1}))
+    assert [*seen.medians(KEY)] == ["a", "c"]
+    assert seen.medians(KEY)["a"] == pytest.approx(1.0, abs=0.1)
+    assert seen.compared(KEY) is seen.standings.compared[KEY]
+    other = replace(seen, cases=[replace(case, metrics={LEFT: 1.0}) for case in seen.cases])
+    assert other.compared(LEFT).order == ("c", "a")
+
+
+def test_who_is_behind_may_need_no_recording_and_leave_less_of_a_step() -> None:
+    study, cases = runs({"a": 1.0, "b": 2.0, "c": 3.0})
+    learned = [replace(case, recorded_samples=9 * (case.controller == "a")) for case in cases]
+    (offer,) = offers_of(study, learned, findings_of(study, learned))
+    assert (offer.controller, offer.needs_no_recording, offer.key) == ("b", True, "")
+    left = {"a": 1.0, "b": 0.9, "c": 0.4}
+    settling = [
+        replace(case, metrics=case.metrics | {LEFT: left[case.controller] * (1 + case.seed / 100)})
+        for case in cases
+    ]
+    (offer,) = offers_of(study, settling, findings_of(study, settling))
+    assert (offer.controller, offer.needs_no_recording, offer.key) == ("c", False, LEFT)
+    assert (offer.left, offer.least) == pytest.approx((0.4 * 1.035, 1.035))
+    assert offers_of(study, cases, findings_of(study, cases)) == []
+
+
+def test_over_several_problems_ranks_are_averaged_and_failed_runs_summed_up() -> None:
+    problems = [runs({"a": 1.0, "b": 2.0}), runs({"a": 1.0, "b": 2.0}), runs({"a": 2.0, "b": 1.0})]
+    failing = runs({"a": 1.0, "b": 2.0}, failed={"b": 1})
+    all_fail = runs({"a": 1.0, "b": 2.0}, failed={"a": 8, "b": 8})
+    over = overall_findings([*problems, failing, all_fail])
+    assert over
+    assert over.ranks.ranks == {"a": 1.25, "b": 1.75}
+    assert over.failed == {"a": (0, 32), "b": (1, 32)}
+    assert [*over.profile.shares] == ["a", "b"]
+    assert overall_findings(problems[:1]) is None
+    assert overall_findings([runs({"a": 1.0}), runs({"a": 1.0})]) is None

@@ -7,14 +7,20 @@ import pytest
 
 from ddpc_cosim.study.verdicts.ranks import average_ranks
 from ddpc_cosim.study.verdicts.sentences import (
+    ahead_in_pairs_clause,
     best_rank_clause,
+    elsewhere_sentence,
+    failed_runs,
     join_words,
     lead_clause,
+    level_clause,
+    not_counted_sentence,
     over_words,
     ranks_differ_clause,
     sentence,
     some_of,
     too_few_seeds_clause,
+    untested_sentence,
 )
 
 from .test_findings import found
@@ -64,7 +70,7 @@ def test_those_that_lead_together_are_not_told_apart_or_not_by_enough() -> None:
     assert lead_clause(level, LABELS, SCENARIOS).endswith(" lead over 8 seeds and are not told apart")
     near = found({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.112}})
     assert near.tells_leaders_apart
-    assert "none of them is told to be better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
+    assert "none of them is significantly better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
 
 
 def test_medians_are_over_scenarios_and_seeds() -> None:
@@ -77,6 +83,42 @@ def test_too_few_seeds_are_told_with_how_many_it_takes() -> None:
     words = "5 seeds are too few to test 3 controllers against each other: it takes 6"
     assert too_few_seeds_clause(few) == words
     assert too_few_seeds_clause(found({"a": 1.0, "b": 2.0}).standings.compared.values()) == ""
+
+
+def test_what_could_not_be_tested_is_told_with_the_reason() -> None:
+    assert untested_sentence(found({"a": 1.0, "b": 2.0})) == ""
+    few = found({"a": 1.0, "b": 2.0}, seeds=5)
+    assert untested_sentence(few).endswith(
+        "are too few to test 2 controllers against each other: it takes 6."
+    )
+    alone = "How much that depends on the seed is not known."
+    assert untested_sentence(found({"a": 1.0, "b": 2.0}, seeds=1)) == alone
+    assert untested_sentence(found({"a": 1.0}, seeds=1)) == ""
+
+
+def test_scenarios_that_the_leader_does_not_lead_are_counted() -> None:
+    levels = {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 9.0, "y": 1.9}}
+    told = found(levels, seeds=1)
+    assert told.leaders == ("a",)
+    assert elsewhere_sentence(told, LABELS) == (
+        "Scenario by scenario it leads in 1 of 2; in the others <i>B</i> (1) does."
+    )
+    assert elsewhere_sentence(found({"a": 1.0, "b": 2.0}), LABELS) == ""
+
+
+def test_who_failed_and_what_does_not_count_are_named() -> None:
+    assert failed_runs("<", 1, 3) == "<b>&lt;</b> 1 of 3 runs"
+    assert not_counted_sentence(["x", "y"]) == (
+        "Not counted, as every controller fails there: <i>x</i> and <i>y</i>."
+    )
+    assert not_counted_sentence([]) == ""
+
+
+def test_who_is_level_with_the_first_or_ahead_of_it_in_pairs() -> None:
+    one, two = join_words(["A"]), join_words(["B"])
+    assert level_clause([one, two]) == "the seeds do not tell it apart from A and B"
+    assert ahead_in_pairs_clause([one]) == "in pairs of the same seed A is ahead of it"
+    assert ahead_in_pairs_clause([one, two]) == "in pairs of the same seed A and B are ahead of it"
 
 
 def test_of_average_ranks_the_best_and_who_may_be_as_good() -> None:

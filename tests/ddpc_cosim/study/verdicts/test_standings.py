@@ -81,7 +81,7 @@ def test_of_two_outputs_one_is_better_that_is_so_in_one_and_not_worse_in_the_oth
 
 
 @given(st.lists(st.lists(st.floats(0.1, 10), min_size=12, max_size=12), min_size=2, max_size=4))
-def test_nobody_is_told_to_be_better_than_a_leader(values: list[list[float]]) -> None:
+def test_no_controller_is_significantly_better_than_a_leader(values: list[list[float]]) -> None:
     found = of({f"c{i}": own for i, own in enumerate(values)})
     (compared,) = found.compared.values()
     for (a, b), one in compared.differences.items():
