@@ -256,6 +256,11 @@ class ValidationErrors:
             reported = self.found.setdefault(place, [])
             reported += [error] if error not in reported else []
 
+    def listed(self) -> list[str]:
+        """Return the errors with their places, as messages of what is in no file say them."""
+        every = ((place, error) for place, found in self.found.items() for error in found)
+        return [f"{dotted(place)}: {error}" if place else error for place, error in every]
+
     def doubt(self, place: Place) -> None:
         """Take note that a place has no value that can be relied on."""
         self._doubtful.add(place)
@@ -303,13 +308,7 @@ def read(kind: type[T], table: Mapping[str, Any]) -> T:
     value = reader.section(kind, dict(table), ())
     reader.complete()
     if errors.found:
-        raise ConfigError(
-            [
-                f"{dotted(place)}: {error}" if place else error
-                for place, found in errors.found.items()
-                for error in found
-            ]
-        )
+        raise ConfigError(errors.listed())
     return cast("T", value)
 
 
@@ -321,48 +320,50 @@ def read_in(kind: type[T], table: Mapping[str, Any], folder: Path | None, errors
     return cast("T", value)
 
 
-def write(value: Any) -> Any:
-    """Return an object as the table that :func:`read` makes it of; what is None is left out."""
+def write(value: Any, *, in_short: bool = False) -> Any:
+    """Return an object as the table that :func:`read` makes it of; what is None is left out.
+
+    Parameters
+    ----------
+    value : object
+        A section, a signal, or a value that these hold.
+    in_short : bool
+        Whether defaults are left out too, in all that it holds.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = declared_fields(type(value))
-        return _kind_in(value) | _without_none({key: _said(value, one) for key, one in fields.items()})
+        entries = _entries(value, in_short=in_short)
+        return _kind_in(value) | {key: write(held, in_short=in_short) for key, held in entries}
     if isinstance(value, Mapping):
-        return _without_none(value)
+        return {key: write(held, in_short=in_short) for key, held in value.items() if held is not None}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, list | tuple):
-        return [write(item) for item in value]
+        return [write(item, in_short=in_short) for item in value]
     return value
 
 
-def _said(value: Any, one: DeclaredField) -> Any:
-    """Return what a field holds; None where a file cannot say it."""
-    held = one.of(value)
-    if one.within and held == one.default():
-        return None  # what is not installed elsewhere is not named there
-    return None if isinstance(held, float) and math.isinf(held) and not one.info.infinite else held
-
-
-def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: write(value) for key, value in table.items() if value is not None}
+def _entries(value: Any, *, in_short: bool) -> Iterator[tuple[str, Any]]:
+    """Yield what an object holds, by its keys, as far as a file can say it; in short: and has to."""
+    for key, one in declared_fields(type(value)).items():
+        held = one.of(value)
+        if in_short and not one.is_required and _equal(held, one.default()):
+            continue
+        if one.within and held == one.default():
+            continue  # what is not installed elsewhere is not named there
+        is_unsaid = isinstance(held, float) and math.isinf(held) and not one.info.infinite
+        if held is not None and not is_unsaid:
+            yield key, held
 
 
 def differing(value: Any) -> dict[str, Any]:
     """Return the fields of an object that are not their defaults, by their keys, in plain values."""
-    fields = declared_fields(type(value))
-    given = {key: one.of(value) for key, one in fields.items()}
-    return _without_none(
-        {
-            key: _said(value, fields[key])
-            for key, held in given.items()
-            if fields[key].is_required or not _equal(held, fields[key].default())
-        }
-    )
+    return {key: write(held) for key, held in _entries(value, in_short=True)}
 
 
 def write_in_short(value: Any) -> dict[str, Any]:
     """Return an object as the shortest table that :func:`read` makes it of: without what are defaults."""
-    return _kind_in(value) | differing(value)
+    table: dict[str, Any] = write(value, in_short=True)
+    return table
 
 
 def _kind_in(value: Any) -> dict[str, Any]:

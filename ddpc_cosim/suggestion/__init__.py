@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -19,14 +19,17 @@ from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.processes.sandbox import demanded
+from ddpc_cosim.study.file_format.sections import (
+    BoundsSection,
+    ControllerSection,
+    LoopSection,
+    PlantSection,
+    RecordingSection,
+    Study,
+)
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
-from ddpc_cosim.suggestion.design import (
-    ScaledGains,
-    SuggestedController,
-    recording_length,
-    suggested_controllers,
-)
+from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.operating_point import Found, TestedPlant, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
@@ -48,16 +51,6 @@ _FIRST_STEP, _LONGEST = 1e-4, 1e5
 # Where steps must be equal and the FMU does not say of what size.
 _STEPS, _STEP = 500, 1e-2
 _LONGEST_IN_STOP_TIMES = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Candidates:
-    """Signals that may take part, the names of those that were not tried, and the FMU's warnings."""
-
-    inputs: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
-    left_out: tuple[str, ...]
-    warnings: tuple[str, ...]
 
 
 def suggest_study(
@@ -136,7 +129,6 @@ def suggest_study(
         if system.refine(open_plant, found, sample):
             tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
             found = find(open_plant, description, request, timing)
-    candidates = Candidates(found.inputs, found.outputs, (*drives_too, *reads_too), found.warnings)
     if not found.choice.inputs:
         ends = zip(found.inputs, found.rest, found.rest + found.tested.steps, strict=True)
         tried = ", ".join(f"{v.name} from {low:g} to {high:g}" for v, low, high in ends)
@@ -146,17 +138,12 @@ def suggest_study(
             f"--at another operating point, --output other outputs{early}"
         )
     check_identified(path.name, found)
-    proposal = _propose(path.stem, candidates, found)
-    levels = zip(found.inputs, found.rest.tolist(), strict=True)
-    moved = {variable.name: level for variable, level in levels if level != variable.start}
-    proposal = replace(
-        proposal,
-        parameters=request.parameters(description),
-        start={**found.start, **moved},
-        coupling=system.coupling(proposal.sampling_time) if system else {},
-    )
+    sample = sampling_time_of(found.tested, found.choice, found.timing, found.request)
+    plant = system.section(sample) if system else PlantSection(fmu=str(path.resolve()))
+    plant = replace(plant, parameters=request.parameters(description))
+    proposal = _propose(plant, found, sample, (*drives_too, *reads_too))
     if trial:
-        proposal = tried_out(proposal, path, deadline, tell, sandboxed=sandbox)
+        proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
     head = (*proposal.comments.get("head", ()), *found.remarks, *(system.remarks if system else ()))
     return replace(proposal, comments={**proposal.comments, "head": head})
 
@@ -246,17 +233,19 @@ def _timing(description: PlantDescription, request: Request) -> Timing:
     )
 
 
-def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
+def _propose(plant: PlantSection, found: Found, sample: float, left_out: Sequence[str]) -> Proposal:
+    """Return a proposal for a plant, of which only the signals and their sizes are left open."""
     tested, choice, bounds, request = found.tested, found.choice, found.bounds, found.request
-    inputs = tuple(candidates.inputs[i] for i in choice.inputs)
-    outputs = tuple(candidates.outputs[j] for j in choice.outputs)
-    measurements = outputs + _also_measured(candidates.outputs, outputs, tested)
-    working = design.working_range(candidates.inputs, bounds).of(choice.inputs)
-    sample = sampling_time_of(tested, choice, found.timing, request)
+    inputs = tuple(found.inputs[i] for i in choice.inputs)
+    outputs = tuple(found.outputs[j] for j in choice.outputs)
+    measurements = outputs + _also_measured(found.outputs, outputs, tested)
+    working = design.working_range(found.inputs, bounds).of(choice.inputs)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
-    references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
+    references, duration = design.setpoints(tested, choice, found.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
-        references = design.near_rest(tested, choice, candidates.outputs, duration)
+        references = design.near_rest(tested, choice, found.outputs, duration)
+    levels = zip(found.inputs, found.rest.tolist(), strict=True)
+    moved = {variable.name: level for variable, level in levels if level != variable.start}
     nominal = _sizes(inputs, working.size) | _sizes(
         outputs, np.minimum(_output_sizes(choice, working), design.limits(tested, choice))
     )
@@ -268,24 +257,34 @@ def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
     )
     chosen = suggested_controllers(gains, may_record=not unstable)
     needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
-    circumstances = Circumstances(candidates.inputs, candidates.outputs, tested, choice, sample, unstable)
+    samples = max(_SAMPLES, 2 * needed)
+    circumstances = Circumstances(found.inputs, found.outputs, tested, choice, sample, unstable)
+    plant = replace(
+        plant,
+        inputs=[v.name for v in inputs],
+        outputs=[v.name for v in outputs],
+        measurements=[v.name for v in measurements],
+        start={**found.start, **moved},
+        nominal=nominal,
+    )
+    excitation = {} if unstable else design.excitation(inputs, working, samples)
+    study = Study(
+        title=f"Control of {Path(plant.label).stem}",
+        plant=plant,
+        loop=LoopSection(sampling_time=float(sample), duration=duration),
+        reference=references,
+        bounds={v.name: BoundsSection(min=bounds[v.name].low, max=bounds[v.name].high) for v in inputs},
+        recording=RecordingSection(samples=samples, excitation=excitation) if excitation else None,
+        controllers=chosen,
+    )
     return Proposal(
-        plant=name,
+        study=study,
         inputs=inputs,
         outputs=outputs,
         measurements=measurements,
-        parameters={},
-        start={},
-        nominal=nominal,
-        bounds={v.name: bounds[v.name] for v in inputs},
-        setpoints=references,
-        sampling_time=sample,
-        duration=duration,
-        excitation={} if unstable else design.excitation(inputs, working),
-        samples=max(_SAMPLES, 2 * needed),
-        controllers=chosen,
-        comments=comments(circumstances, candidates.left_out, candidates.warnings),
-        hints=tuple(hints(circumstances, design.rest_and_room(candidates.inputs, bounds)[1])),
+        origins={v.name: bounds[v.name].origin for v in inputs},
+        comments=comments(circumstances, left_out, found.warnings),
+        hints=tuple(hints(circumstances, found.room)),
         gains=_settled_gains(tested, choice),
         rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
@@ -317,7 +316,7 @@ def _settled_gains(tested: StepTest, choice: Choice) -> FloatArray:
     return np.where(np.array(known)[:, np.newaxis], choice.gains, np.nan)
 
 
-def _recording_length(controller: SuggestedController, *signals: int) -> int:
+def _recording_length(controller: ControllerSection, *signals: int) -> int:
     try:
         return recording_length(controller, *signals)
     except ConfigError:  # the trial leaves it out, and says why

@@ -4,15 +4,18 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim import safe_calls
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.excitations import UniformRandom
 from ddpc_cosim.loop_setup import whole_steps
 from ddpc_cosim.plugins import plugin_names
+from ddpc_cosim.signals import Reference, Steps
+from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType
@@ -27,24 +30,6 @@ class Bounds:
     low: float
     high: float
     origin: str
-
-
-@dataclass(frozen=True, slots=True)
-class Setpoints:
-    """A reference in steps, in the output's unit."""
-
-    times: tuple[float, ...]
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class SuggestedController:
-    """A controller of the study: its type, its settings, and why these."""
-
-    type: str
-    label: str
-    settings: Mapping[str, Any]
-    comment: str
 
 
 # Temperatures and absolute pressures do not go to zero.
@@ -79,7 +64,9 @@ def input_bounds(
     A guess follows parameters of the plant that are named after the input, its nominal or its start value;
     ``parameters`` have their values as start values.
     """
-    given = {name: Bounds(low, high, "as asked for") for name, (low, high) in (ranges or {}).items()}
+    given = {
+        name: Bounds(float(low), float(high), "as asked for") for name, (low, high) in (ranges or {}).items()
+    }
     known = {_plain(p.name): p for p in parameters}
     return {v.name: given.get(v.name) or _bounds_by_name(v, known) or _input_bounds(v) for v in inputs}
 
@@ -261,7 +248,7 @@ def setpoints(
     working: Range,
     sample: float,
     request: Request,
-) -> tuple[dict[str, Setpoints], float]:
+) -> tuple[dict[str, Reference], float]:
     """Return a reference in steps for each chosen output, and the duration of the loop [s].
 
     One after the other the outputs go up, then down: to the ends of a range that is asked for, else as far as
@@ -279,7 +266,7 @@ def setpoints(
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
         raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
     up, down = (np.minimum(way, limits(tested, choice)) for way in reachable(choice.gains, working))
-    references = {}
+    references = dict[str, Reference]()
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]
         rise = min(up[position], _ROOM * (output.max - first))
@@ -291,7 +278,7 @@ def setpoints(
         values = [first, first + rise, first - fall]
         steps = dict(zip((0, position, n + position), values, strict=True))  # the first output starts at once
         resolution = max(rise, fall) / 100
-        references[outputs[j].name] = Setpoints(
+        references[outputs[j].name] = Steps(
             tuple(clean(k * samples // (2 * n) * sample) for k in steps),
             tuple(rounded(value, resolution) for value in steps.values()),
         )
@@ -305,14 +292,14 @@ def limits(tested: StepTest, choice: Choice) -> FloatArray:
 
 def near_rest(
     tested: StepTest, choice: Choice, outputs: Sequence[Variable], duration: float
-) -> dict[str, Setpoints]:
+) -> dict[str, Reference]:
     """Return a reference for each chosen output that stays where it begins, and then makes a small step."""
-    references = {}
+    references = dict[str, Reference]()
     for j in choice.outputs:
         first = float(tested.rest[0, j])
         step = _SMALL_STEP * max(abs(response.effect) or response.peak for response in tested.responses[j])
         values = (clean(first), rounded(first + step, step / 10))
-        references[outputs[j].name] = Setpoints((0.0, clean(duration / 2)), values)
+        references[outputs[j].name] = Steps((0.0, clean(duration / 2)), values)
     return references
 
 
@@ -362,13 +349,13 @@ def clean(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def excitation(inputs: Sequence[Variable], working: Range) -> dict[str, tuple[float, float]]:
-    """Return the range of the recording's random inputs: the working range."""
-    table = {}
-    for variable, low, high in zip(inputs, working.low, working.high, strict=True):
-        resolution = float(high - low) / 100
-        table[variable.name] = (rounded(float(low), resolution), rounded(float(high), resolution))
-    return table
+def excitation(inputs: Sequence[Variable], working: Range, samples: int) -> dict[str, UniformRandom]:
+    """Return the recording's random inputs, which go through the working range."""
+    found = {}
+    for variable, low, high in zip(inputs, working.low.tolist(), working.high.tolist(), strict=True):
+        resolution = (high - low) / 100
+        found[variable.name] = UniformRandom(rounded(low, resolution), rounded(high, resolution), samples)
+    return found
 
 
 def first_gains(tested: StepTest, choice: Choice, sample: float) -> FloatArray:
@@ -410,7 +397,18 @@ class ScaledGains:
     lasting: FloatArray
 
 
-def suggested_controllers(gains: ScaledGains, *, may_record: bool) -> dict[str, SuggestedController]:
+WHY_SETTINGS = {
+    "deepc": 'affine_sum = "all" admits an operating point other than zero; '
+    "lambda_g up: calmer with noise and nonlinear plants, down: faster",
+    "mfapc": "initial_gradient: change of the outputs one sample after a unit step, in parts of nominal "
+    "values; lambda_u up: calmer, down: faster",
+    "mpc": "the model is identified from the recording; input_weight up: calmer, down: faster",
+    "pid": "gains from a step test on the recording; pairing: number of the input for each output",
+}
+"""What the settings of a type of controller are good for."""
+
+
+def suggested_controllers(gains: ScaledGains, *, may_record: bool) -> dict[str, ControllerSection]:
     """Return the installed controllers that settings are known for, by key.
 
     Parameters
@@ -427,7 +425,7 @@ def suggested_controllers(gains: ScaledGains, *, may_record: bool) -> dict[str, 
     return {controller.type: controller for controller in suggested if controller.type in installed}
 
 
-def _deepc() -> SuggestedController:
+def _deepc() -> ControllerSection:
     settings = {
         "initial_length": _INITIAL_LENGTH,
         "horizon": _HORIZON,
@@ -438,16 +436,10 @@ def _deepc() -> SuggestedController:
         "lambda_sigma": 1e5,
         "affine_sum": "all",
     }
-    return SuggestedController(
-        "deepc",
-        "DeePC",
-        settings,
-        'affine_sum = "all" admits an operating point other than zero; '
-        "lambda_g up: calmer with noise and nonlinear plants, down: faster",
-    )
+    return ControllerSection(type="deepc", label="DeePC", settings=settings)
 
 
-def _mfapc(gains: ScaledGains) -> SuggestedController:
+def _mfapc(gains: ScaledGains) -> ControllerSection:
     gradient = gains.first if gains.first.any() else gains.lasting
     strength = float(np.mean(np.sum(gradient**2, axis=0)))
     settings = {
@@ -457,26 +449,15 @@ def _mfapc(gains: ScaledGains) -> SuggestedController:
         "epsilon": _significant(1e-5 * min(1.0, _smallest(gradient))),
         "initial_gradient": [[_significant(float(entry)) for entry in row] for row in gradient],
     }
-    return SuggestedController(
-        "mfapc",
-        "MFAPC-CFDL",
-        settings,
-        "initial_gradient: change of the outputs one sample after a unit step, in parts of nominal values; "
-        "lambda_u up: calmer, down: faster",
-    )
+    return ControllerSection(type="mfapc", label="MFAPC-CFDL", settings=settings)
 
 
-def _mpc() -> SuggestedController:
+def _mpc() -> ControllerSection:
     settings = {"horizon": _HORIZON, "output_weight": _OUTPUT_WEIGHT, "input_weight": _INPUT_WEIGHT}
-    return SuggestedController(
-        "mpc",
-        "MPC, model identified",
-        settings,
-        "the model is identified from the recording; input_weight up: calmer, down: faster",
-    )
+    return ControllerSection(type="mpc", label="MPC, model identified", settings=settings)
 
 
-def _pid(gains: ScaledGains) -> list[SuggestedController]:
+def _pid(gains: ScaledGains) -> list[ControllerSection]:
     """Return PID loops, each output with the input that moves it most; none if inputs are too few."""
     outputs, inputs = gains.lasting.shape
     if outputs > inputs:
@@ -488,14 +469,7 @@ def _pid(gains: ScaledGains) -> list[SuggestedController]:
         key=lambda order: sum(moved[j][i] for j, i in enumerate(order)),
     )
     settings = {"tuning": "step-test", "pairing": [*pairing]}
-    return [
-        SuggestedController(
-            "pid",
-            "PID, step test",
-            settings,
-            "gains from a step test on the recording; pairing: number of the input for each output",
-        )
-    ]
+    return [ControllerSection(type="pid", label="PID, step test", settings=settings)]
 
 
 def _smallest(gradient: FloatArray) -> float:
@@ -507,7 +481,7 @@ def _significant(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def recording_length(controller: SuggestedController, inputs: int, outputs: int, measurements: int) -> int:
+def recording_length(controller: ControllerSection, inputs: int, outputs: int, measurements: int) -> int:
     """Return the fewest samples of a recording that a controller can learn from."""
     from ddpc_cosim.study.controller_plugins import make_controller
 

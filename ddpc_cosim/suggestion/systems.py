@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from ddpc_cosim.codec import read
 from ddpc_cosim.errors import ConfigError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.study.file_format.sections import PlantSection
+from ddpc_cosim.study.file_format.sections import CouplingSection, PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import StepTest
@@ -19,7 +19,7 @@ from ddpc_cosim.variables import FloatArray
 _WHOLE = 1e-9
 _FINEST = 256
 _SAMPLES, _DIFFER = 60, 0.02
-_COUPLING = {"extrapolation": "linear"}
+_COUPLING = CouplingSection(extrapolation="linear")
 
 
 class Found(Protocol):
@@ -66,9 +66,8 @@ class System:
     """
 
     def __init__(self, path: Path) -> None:
-        self._spec = PlantSpec.of(
-            read(PlantSection, {"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
-        )
+        self._section = PlantSection(ssp=str(path.resolve()), coupling=_COUPLING)
+        self._spec = PlantSpec.of(self._section, Path())
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()
         self.description = self._spec.variables()
@@ -118,10 +117,11 @@ class System:
         except (ConfigError, FMUStepError):
             return np.full((_SAMPLES + 1, len(plant.outputs)), np.nan)
 
-    def coupling(self, sampling_time: float) -> dict[str, float | str]:
-        """Return the coupling section of a study with a sampling time [s]."""
+    def section(self, sampling_time: float) -> PlantSection:
+        """Return the plant of a study with a sampling time [s]."""
         count = self._count(sampling_time)
-        return {**_COUPLING, **({"communication_step": sampling_time / count} if count > 1 else {})}
+        step = sampling_time / count if count > 1 else None
+        return replace(self._section, coupling=replace(_COUPLING, communication_step=step))
 
     def _count(self, h: float) -> int:
         return max(1, math.ceil(h / self.exchange - _WHOLE))

@@ -8,23 +8,25 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
+from ddpc_cosim.codec import ValidationErrors
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.file_format.sections import ControllerSection, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.resolve import ResolvedStudy
+from ddpc_cosim.study.resolve import Known, ResolvedStudy, resolve
 from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
-from ddpc_cosim.suggestion.design import Bounds, Setpoints, clean, rounded
-from ddpc_cosim.suggestion.writing import Proposal, study_text
+from ddpc_cosim.suggestion.design import clean, rounded
+from ddpc_cosim.suggestion.writing import Proposal
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable
 
@@ -65,6 +67,11 @@ class _Attempt:
     untried: dict[str, str] = field(default_factory=dict)
 
     @property
+    def controllers(self) -> Mapping[str, ControllerSection]:
+        """Those that are left."""
+        return self.proposal.study.controllers
+
+    @property
     def left(self) -> dict[str, float]:
         """What is left of a step at worst [%], by label; without controllers of which that is not known."""
         shares = {case.label: case.left for case in self.cases}
@@ -77,18 +84,16 @@ class _Attempt:
 
     def drop(self, key: str, reason: str) -> None:
         """Leave a controller out."""
-        controllers = dict(self.proposal.controllers)
+        controllers = dict(self.controllers)
         self.dropped[controllers.pop(key).label] = reason
-        self.proposal = replace(self.proposal, controllers=controllers)
+        self.proposal = self.proposal.changed(controllers=controllers)
 
     def best_trace(self) -> Trace:
         """Return the run that leaves least."""
         return min(self.cases, key=lambda case: math.inf if math.isnan(case.left) else case.left).trace()
 
 
-def tried_out(
-    proposal: Proposal, fmu: Path, deadline: float, tell: Tell, *, sandboxed: bool = False
-) -> Proposal:
+def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: bool = False) -> Proposal:
     """Start every controller of a proposal and run its loop once; return what can be run, and how well.
 
     Where no controller settles, stretches become longer, and setpoints such as were reached.
@@ -97,8 +102,6 @@ def tried_out(
     ----------
     proposal : Proposal
         The study.
-    fmu : Path
-        The FMU.
     deadline : float
         When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
     tell : callable
@@ -119,9 +122,9 @@ def tried_out(
         warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
         while wanted is not None:
             number += 1
-            attempt = _attempt(wanted, fmu, folder / str(number), deadline, tell, sandboxed=sandboxed)
+            attempt = _attempt(wanted, folder / str(number), deadline, tell, sandboxed=sandboxed)
             faults = faults or attempt.dropped
-            if attempt.proposal.controllers:
+            if attempt.controllers:
                 attempts.append(attempt)
             if attempt.untried or (attempt.cases and (not attempt.left or attempt.best <= SETTLED)):
                 break
@@ -131,19 +134,17 @@ def tried_out(
                 most = _ATTEMPTS_WITHOUT_AUTHORITY if proposal.hints else _ATTEMPTS
                 wanted = _within_reach(attempts) if len(attempts) < most else None
         if not attempts:
-            why = "; ".join(dict.fromkeys(faults.values()))
-            raise CosimError(f"{fmu.name}: no controller that was tried runs to the end: {why}")
+            what = f"{proposal.study.plant.label}: no controller that was tried runs to the end"
+            raise CosimError(f"{what}: {'; '.join(dict.fromkeys(faults.values()))}")
         return _told(attempts)
 
 
-def _attempt(
-    proposal: Proposal, fmu: Path, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool
-) -> _Attempt:
+def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool) -> _Attempt:
     """Run each controller of a proposal once, as far as time allows; leave out those that fail."""
     (folder / CASES_FOLDER).mkdir(parents=True)
     attempt = _Attempt(proposal)
     tell("reading the study")
-    resolved = _resolved(attempt, fmu, folder)
+    resolved = _resolved(attempt)
     if resolved is None:
         return attempt
     with demanded(sandboxed):
@@ -174,12 +175,12 @@ def _attempt(
         for one in cases
         if one.label in attempt.untried and (attempt.cases or attempt.untried[one.label] == _NOT_BEGUN)
     }
-    if undone.keys() != attempt.proposal.controllers.keys():
+    if undone.keys() != attempt.controllers.keys():
         for key, share in undone.items():
             attempt.drop(key, f"not tried in time: {share}")
-    if attempt.dropped and attempt.proposal.controllers:
+    if attempt.dropped and attempt.controllers:
         # How far those that are left look ahead decides what all are judged by.
-        resolved = _resolved(attempt, fmu, folder)
+        resolved = _resolved(attempt)
         if resolved is not None:
             for case in attempt.cases:
                 judge_again(case.folder, resolved.metrics)
@@ -193,30 +194,32 @@ def _attempt(
     return attempt
 
 
-def _resolved(attempt: _Attempt, fmu: Path, folder: Path) -> ResolvedStudy | None:
+def _resolved(attempt: _Attempt) -> ResolvedStudy | None:
     """Return the study without the controllers that cannot be set up; None if there are no others."""
-
-    def read(proposal: Proposal) -> ResolvedStudy:
-        path = folder / "study.toml"
-        path.write_text(study_text(proposal, fmu.resolve().as_posix()), encoding="utf-8")
-        return read_study(str(path)).problem
-
+    study = attempt.proposal.study
     try:
-        return read(attempt.proposal)
-    except ConfigError as error:
-        for key, controller in attempt.proposal.controllers.items():
+        return _resolve(study)
+    except ConfigError:
+        for key, controller in study.controllers.items():
             try:
-                read(replace(attempt.proposal, controllers={key: controller}))
+                _resolve(replace(study, controllers={key: controller}))
             except ConfigError as fault:
                 attempt.drop(key, "; ".join(fault.faults))
-        if not attempt.proposal.controllers:
-            return None
         if not attempt.dropped:
             raise
-        try:
-            return read(attempt.proposal)
-        except ConfigError:
-            raise error from None
+    return _resolve(attempt.proposal.study) if attempt.controllers else None
+
+
+def _resolve(study: Study) -> ResolvedStudy:
+    """Return what a study comes to that is in no file; ConfigError with all that does not fit."""
+    errors, known = ValidationErrors(), Known()
+    try:
+        resolved = resolve(study, Path(), errors, known)
+    finally:
+        known.forget()
+    if resolved is None:
+        raise ConfigError(errors.listed())
+    return resolved
 
 
 def _gentler_ones(proposal: Proposal) -> Iterator[Proposal]:
@@ -228,20 +231,23 @@ def _gentler_ones(proposal: Proposal) -> Iterator[Proposal]:
 
 def _gentler(proposal: Proposal, sides: tuple[float, float]) -> Proposal:
     """Return the proposal with inputs that go less far down and up, in shares: so far, every run failed."""
-    rest = {v.name: v.start for v in proposal.inputs} | dict(proposal.start)
+    study, recording = proposal.study, proposal.study.recording
+    rest = {v.name: v.start for v in proposal.inputs} | study.plant.start
 
-    def nearer(name: str, low: float, high: float) -> tuple[float, float]:
+    def nearer(name: str, limits: Any, *ends: str) -> Any:
+        low, high = (getattr(limits, end) for end in ends)
         centre = min(max(rest[name], low), high)
         down, up = sides if name not in proposal.asked.ranges else (1.0, 1.0)
         less = centre - down * (centre - low), centre + up * (high - centre)
-        return less if less[0] < less[1] else (low, high)
+        return replace(limits, **dict(zip(ends, less, strict=True))) if less[0] < less[1] else limits
 
-    excitation = {name: nearer(name, *limits) for name, limits in proposal.excitation.items()}
-    bounds = {
-        name: Bounds(*nearer(name, old.low, old.high), f"{old.origin}; less, as every run failed with that")
-        for name, old in proposal.bounds.items()
-    }
-    return replace(proposal, excitation=excitation, bounds=bounds)
+    if recording is not None:
+        excited = {name: nearer(name, one, "low", "high") for name, one in recording.excitation.items()}
+        recording = replace(recording, excitation=excited)
+    bounds = {name: nearer(name, one, "min", "max") for name, one in study.bounds.items()}
+    why = "; less, as every run failed with that"
+    origins = {name: f"{origin}{why}" for name, origin in proposal.origins.items()}
+    return replace(proposal.changed(bounds=bounds, recording=recording), origins=origins)
 
 
 def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
@@ -279,7 +285,7 @@ def _responses(trace: Trace, preview: int) -> list[Response]:
 
 def _surprises(trace: Trace, proposal: Proposal, preview: int) -> Iterator[str]:
     """Name the outputs that end elsewhere than the step responses say, going by the inputs."""
-    rest_u = np.array([proposal.start.get(v.name, v.start) for v in proposal.inputs])
+    rest_u = np.array([proposal.study.plant.start.get(v.name, v.start) for v in proposal.inputs])
     for j, response in enumerate(_responses(trace, preview)):
         worst, text = _OTHERWISE, ""
         for rows in map(_settled_part, response.steps):
@@ -318,17 +324,20 @@ def _longer(proposal: Proposal) -> Proposal:
 def _shorter(proposal: Proposal, share: float) -> Proposal:
     """Return the proposal with everything in a share of the time, from the recording on."""
     note = f"All in {100 * share:g} % of the time that the step test suggests: later on every run failed."
-    comments = {**proposal.comments, "loop": (note,)}
-    faster = replace(proposal, sampling_time=clean(share * proposal.sampling_time), comments=comments)
-    return _stretched(faster, share)
+    loop = proposal.study.loop
+    faster = proposal.changed(loop=replace(loop, sampling_time=clean(share * loop.sampling_time)))
+    return _stretched(replace(faster, comments={**proposal.comments, "loop": (note,)}), share)
 
 
 def _stretched(proposal: Proposal, by: float) -> Proposal:
-    setpoints = {
-        name: Setpoints(tuple(clean(by * time) for time in one.times), one.values)
-        for name, one in proposal.setpoints.items()
-    }
-    return replace(proposal, setpoints=setpoints, duration=clean(by * proposal.duration))
+    loop = proposal.study.loop
+    return proposal.changed(
+        loop=replace(loop, duration=clean(by * loop.duration)),
+        reference={
+            name: replace(one, times=tuple(clean(by * time) for time in one.times))
+            for name, one in proposal.setpoints.items()
+        },
+    )
 
 
 def _shrunk(values: Sequence[float]) -> tuple[float, float]:
@@ -338,14 +347,14 @@ def _shrunk(values: Sequence[float]) -> tuple[float, float]:
 
 def _moved(proposal: Proposal, spans: Mapping[str, tuple[float, float]]) -> Proposal:
     """Return the proposal with the setpoints of some outputs mapped into other spans."""
-    setpoints = dict(proposal.setpoints)
+    reference = proposal.setpoints
     for name, (low, high) in spans.items():
-        old = setpoints[name]
-        width = max(old.values) - min(old.values)
-        values = [low + (value - min(old.values)) / width * (high - low) for value in old.values if width]
-        if values:
-            setpoints[name] = Setpoints(old.times, tuple(rounded(v, (high - low) / 100) for v in values))
-    return replace(proposal, setpoints=setpoints)
+        old = reference[name].values
+        if width := max(old) - min(old):
+            values = (low + (value - min(old)) / width * (high - low) for value in old)
+            moved = tuple(rounded(value, (high - low) / 100) for value in values)
+            reference[name] = replace(reference[name], values=moved)
+    return proposal.changed(reference={**reference})
 
 
 def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[str]:
@@ -388,7 +397,7 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
         rest = "; ".join(f"{label} ({share})" for label, share in best.untried.items())
         head.append(f"The time for trying was over before the end of {rest}.")
     shares = ", ".join(f"{label} {_percent(share)}" for label, share in best.left.items())
-    kept = {controller.label for controller in proposal.controllers.values()}
+    kept = {controller.label for controller in proposal.study.controllers.values()}
     dropped = {k: why for one in reversed(attempts) for k, why in one.dropped.items() if k not in kept}
     on_controllers = [
         f"Tried once; left of the step at worst: {shares}." if shares else "",
@@ -403,11 +412,9 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     comments = {name: [*texts] for name, texts in proposal.comments.items()}
     for name, texts in (("head", head), ("reference", on_reference), ("controllers", on_controllers)):
         comments[name] = [*comments.get(name, ()), *filter(None, texts)]
-    return replace(
-        proposal,
-        comments={name: tuple(texts) for name, texts in comments.items()},
-        limitations=(f"{WHY}{'; '.join(likely)}",) if likely else (),
-    )
+    report = ReportSection(limitations=[f"{WHY}{'; '.join(likely)}"] if likely else [])
+    told = {name: tuple(texts) for name, texts in comments.items()}
+    return replace(proposal.changed(report=report), comments=told)
 
 
 def _best_words(attempt: _Attempt) -> str:

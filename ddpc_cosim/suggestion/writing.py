@@ -2,15 +2,18 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 import tomli_w
 
-from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.codec import write_in_short
+from ddpc_cosim.errors import Place
+from ddpc_cosim.signals import Steps
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.suggestion.choice import Choice, returns
-from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
+from ddpc_cosim.suggestion.design import WHY_SETTINGS, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import SHARE, StepTest
@@ -22,32 +25,16 @@ _WIDTH = 110
 
 @dataclass(frozen=True)
 class Proposal:
-    """A suggested study.
+    """A suggested study, and what is to be said of it.
 
     Parameters
     ----------
-    plant : str
-        Name of the plant, for the title.
+    study : Study
+        What is suggested, with the plant's file by its absolute path.
     inputs, outputs, measurements : tuple of Variable
         What is driven, controlled and measured.
-    parameters : mapping of str to number or str
-        Parameters and start values that differ from the plant's defaults.
-    start : mapping of str to float
-        Where inputs start and rest, as far as the plant declares something else.
-    nominal : mapping of str to float
-        Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
-    bounds : mapping of str to Bounds
-        By input.
-    setpoints : mapping of str to Setpoints
-        By output.
-    sampling_time, duration : float
-        In s.
-    excitation : mapping of str to (float, float)
-        Range of the recording's random inputs; empty for no recording.
-    samples : int
-        Length of the recording.
-    controllers : mapping of str to SuggestedController
-        The controllers by key.
+    origins : mapping of str to str
+        Where the limits of the inputs come from, by input.
     comments : mapping of str to tuple of str
         What to know, by section of the study, ``head`` for its beginning: findings, guesses and warnings.
     hints : tuple of str
@@ -56,35 +43,42 @@ class Proposal:
         Lasting change of the outputs per unit of the inputs; NaN of an output that does not settle.
     rest : array, shape (p,)
         Where the outputs rest.
-    limitations : tuple of str
-        What the report is to say of the study.
     asked : Request
         What the user wants to have kept.
-    coupling : mapping of str to float or str
-        Options of the coupling of a system of several FMUs.
     """
 
-    plant: str
+    study: Study
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     measurements: tuple[Variable, ...]
-    parameters: Mapping[str, ParameterValue]
-    start: Mapping[str, float]
-    nominal: Mapping[str, float]
-    bounds: Mapping[str, Bounds]
-    setpoints: Mapping[str, Setpoints]
-    sampling_time: float
-    duration: float
-    excitation: Mapping[str, tuple[float, float]]
-    samples: int
-    controllers: Mapping[str, SuggestedController]
+    origins: Mapping[str, str] = field(default_factory=dict)
     comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     gains: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     rest: FloatArray = field(default_factory=lambda: np.zeros(0))
-    limitations: tuple[str, ...] = ()
     asked: Request = field(default_factory=Request)
-    coupling: Mapping[str, float | str] = field(default_factory=dict)
+
+    def changed(self, **sections: Any) -> Self:
+        """Return the proposal with other sections of the study, by their names."""
+        return replace(self, study=replace(self.study, **sections))
+
+    @property
+    def setpoints(self) -> dict[str, Steps]:
+        """The references, which are steps, by output."""
+        return {name: one for name, one in self.study.reference.items() if isinstance(one, Steps)}
+
+    @property
+    def sampling_time(self) -> float:
+        """Time between samples [s]."""
+        return self.study.loop.sampling_time
+
+
+_OF_TABLES: dict[Place, str] = {
+    ("plant", "coupling"): "how the parts exchange values, times in s",
+    ("plant", "parameters"): "the operating point",
+    ("plant", "start"): "where inputs start and rest",
+    ("plant", "nominal"): "how far each signal goes: what controllers scale it by",
+}
 
 
 def study_text(proposal: Proposal, fmu: str) -> str:
@@ -97,155 +91,106 @@ def study_text(proposal: Proposal, fmu: str) -> str:
     fmu : str
         Path of the FMU as the file is to say it.
     """
-    sections = (
-        _head(proposal),
-        _plant(proposal, fmu),
-        _loop(proposal),
-        _references(proposal),
-        _bounds(proposal),
-        _recording(proposal),
-        _controllers(proposal),
-        ["[report]", f"limitations = {_value([*proposal.limitations])}"] if proposal.limitations else [],
-    )
-    return "\n".join("\n".join(lines) + "\n" for lines in sections if lines)
+    study = proposal.study
+    plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
+    said = {"title": study.title, "seeds": study.seeds}
+    tables = said | write_in_short(replace(study, plant=plant))
+    above: dict[Place, Sequence[str]] = {(key,): texts for key, texts in proposal.comments.items()}
+    above[()] = above.pop(("head",), ())
+    above |= {place: (text,) for place, text in _OF_TABLES.items()}
+    above |= {
+        ("controllers", key): (WHY_SETTINGS[one.type],)
+        for key, one in study.controllers.items()
+        if one.type in WHY_SETTINGS
+    }
+    return commented_toml(tables, above, _remarks(proposal))
 
 
-def _head(proposal: Proposal) -> list[str]:
-    return [
-        *_comments(proposal, "head"),
-        f"title = {_value(f'Control of {proposal.plant}')}",
-        "seeds = [0]",
-    ]
+def _remarks(proposal: Proposal) -> dict[Place, str]:
+    """Return what stands beside values, by their places: units, descriptions, and where limits come from."""
+    remarks: dict[Place, str] = {("loop", "sampling_time"): "s", ("loop", "duration"): "s"}
+    for key in ("inputs", "outputs", "measurements"):
+        signals: Sequence[Variable] = getattr(proposal, key)
+        remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}
+    remarks |= {("reference", name, "times"): "s" for name in proposal.study.reference}
+    remarks |= {("bounds", name): origin for name, origin in proposal.origins.items()}
+    return remarks | {("recording", "excitation", v.name): _unit(v) for v in proposal.inputs}
 
 
-def _plant(proposal: Proposal, fmu: str) -> list[str]:
-    return [
-        *_comments(proposal, "plant"),
-        "[plant]",
-        f"{'ssp' if fmu.lower().endswith('.ssp') else 'fmu'} = {_value(fmu)}",
-        *_names("inputs", proposal.inputs),
-        *_names("outputs", proposal.outputs),
-        *_names("measurements", proposal.measurements),
-        *_subtable("plant.parameters", "the operating point", proposal.parameters),
-        *_subtable("plant.start", "where inputs start and rest", proposal.start),
-        *_subtable("plant.coupling", "how the parts exchange values, times in s", proposal.coupling),
-        *_subtable(
-            "plant.nominal", "how far each signal goes: what controllers scale it by", proposal.nominal
-        ),
-    ]
+def _unit(variable: Variable) -> str:
+    return f"[{variable.unit}]" if variable.unit else ""
 
 
-def _subtable(name: str, what: str, values: Mapping[str, Any]) -> list[str]:
-    rows = [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
-    return [f"# {what}", f"[{name}]", *rows] if rows else []
+def commented_toml(
+    tables: Mapping[str, Any], above: Mapping[Place, Sequence[str]], beside: Mapping[Place, str]
+) -> str:
+    """Return a TOML file with comments.
 
+    Parameters
+    ----------
+    tables : mapping
+        What the file says.
+    above : mapping of Place to sequence of str
+        Comments above tables.
+    beside : mapping of Place to str
+        Comments beside values, each of which stands on one line: tables, and the entries of a list.
+    """
 
-def _names(key: str, variables: Iterable[Variable]) -> list[str]:
-    return [f"{key} = [", *(f"    {_value(v.name)},{_about(v)}" for v in variables), "]"]
+    def lines(table: Mapping[str, Any], place: Place, before: Sequence[str]) -> Iterator[str]:
+        """Yield a table; what is said of one that holds tables alone stands above the first of them."""
+        own = [*_comment_lines(above.get(place, ()))]
+        head = [*before, *([""] if before and own else []), *own]
+        below = {key: v for key, v in table.items() if isinstance(v, dict) and (*place, key) not in beside}
+        if len(below) < len(table) or not table:
+            yield from ["", *head, f"[{'.'.join(map(_key, map(str, place)))}]"] if place else head
+            head = []
+        for key, value in table.items():
+            at = (*place, key)
+            if (*at, 0) in beside:
+                entries = (f"    {_value(one)},{remark((*at, i))}" for i, one in enumerate(value))
+                yield from (f"{_key(key)} = [", *entries, "]")
+            elif key not in below:
+                yield f"{_key(key)} = {_value(value)}{remark(at)}"
+        for key, value in below.items():
+            yield from lines(value, (*place, key), head)
+            head = []
 
+    def remark(place: Place) -> str:
+        text = _one_line(beside.get(place, ""))
+        return f"  # {text}" if text else ""
 
-def _about(variable: Variable) -> str:
-    unit = f"[{variable.unit}]" if variable.unit else ""
-    text = _one_line(f"{unit} {variable.description}")
-    return f"  # {text}" if text else ""
-
-
-def _loop(proposal: Proposal) -> list[str]:
-    return [
-        *_comments(proposal, "loop"),
-        "[loop]",
-        f"sampling_time = {_value(proposal.sampling_time)}  # s",
-        f"duration = {_value(proposal.duration)}  # s",
-    ]
-
-
-def _references(proposal: Proposal) -> list[str]:
-    lines = _comments(proposal, "reference")
-    for name, setpoints in proposal.setpoints.items():
-        lines += [
-            f"[reference.{_key(name)}]",
-            'kind = "steps"',
-            f"times = {_value(list(setpoints.times))}  # s",
-            f"values = {_value(list(setpoints.values))}",
-        ]
-    return lines
-
-
-def _bounds(proposal: Proposal) -> list[str]:
-    return [
-        *_comments(proposal, "bounds"),
-        "[bounds]",
-        *(
-            f"{_key(name)} = {{ min = {_value(b.low)}, max = {_value(b.high)} }}  # {b.origin}"
-            for name, b in proposal.bounds.items()
-        ),
-    ]
-
-
-def _recording(proposal: Proposal) -> list[str]:
-    lines = _comments(proposal, "recording")
-    if not proposal.excitation:
-        return lines
-    return [
-        *lines,
-        "[recording]",
-        f"samples = {proposal.samples}",
-        *(
-            f"excitation.{_key(name)} = {{ low = {_value(low)}, high = {_value(high)} }}"
-            for name, (low, high) in proposal.excitation.items()
-        ),
-    ]
-
-
-def _controllers(proposal: Proposal) -> list[str]:
-    lines = _comments(proposal, "controllers")
-    for key, controller in proposal.controllers.items():
-        lines += [*([""] if lines else []), *_controller(key, controller)]
-    return lines
-
-
-def _controller(key: str, controller: SuggestedController) -> Iterator[str]:
-    yield from _comment(controller.comment)
-    yield f"[controllers.{_key(key)}]"
-    yield f"type = {_value(controller.type)}"
-    yield f"label = {_value(controller.label)}"
-    yield f"[controllers.{_key(key)}.settings]"
-    for name, value in controller.settings.items():
-        yield f"{_key(name)} = {_value(value)}"
-
-
-def _comments(proposal: Proposal, section: str) -> list[str]:
-    return [line for comment in proposal.comments.get(section, ()) for line in _comment(comment)]
-
-
-def _comment(text: str) -> Iterator[str]:
-    from textwrap import wrap
-
-    return (f"# {line}" for line in wrap(_one_line(text), _WIDTH - 2))
-
-
-def _one_line(text: str) -> str:
-    """Return a text that cannot leave the comment that it stands in."""
-    return printable(" ".join(text.split()))
+    return "\n".join([*lines(tables, (), []), ""])
 
 
 def _value(value: Any) -> str:
     """Return a value in TOML, on one line."""
     if isinstance(value, list):
-        return f"[{', '.join(_value(item) for item in value)}]"
-    text = _table({"x": value})
-    return text.partition(" = ")[2].strip()
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{_key(key)} = {_value(one)}' for key, one in value.items())} }}"
+    return _line("x", value).partition(" = ")[2]
 
 
 def _key(name: str) -> str:
     """Return a key in TOML, quoted where that is needed."""
-    return _table({name: 0}).rpartition(" = ")[0]
+    return _line(name, 0).rpartition(" = ")[0]
 
 
-def _table(content: Mapping[str, Any]) -> str:
-    """Return a table in TOML; what cannot be seen stands in texts only, where it can be written out."""
-    toml = tomli_w.dumps(dict(content))
-    return "".join(c if c.isprintable() or c == "\n" else f"\\U{ord(c):08x}" for c in toml)
+def _line(key: str, value: Any) -> str:
+    """Return a line of TOML; what cannot be seen stands in texts only, where it can be written out."""
+    line = tomli_w.dumps({key: value}).rstrip("\n")
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line)
+
+
+def _comment_lines(texts: Iterable[str]) -> Iterator[str]:
+    from textwrap import wrap
+
+    return (f"# {line}" for text in texts for line in wrap(_one_line(text), _WIDTH - 2))
+
+
+def _one_line(text: str) -> str:
+    """Return a text that cannot leave the comment that it stands in."""
+    return printable(" ".join(text.split()))
 
 
 _LISTED = 8
@@ -293,16 +238,18 @@ def comments(
         What is wrong with the FMU but does not keep it from running.
     """
     on_plant = (*_on_responses(about), *_on_what_is_left_out(about, left_out))
-    return {
+    found = {
         "plant": (*on_plant, *(f"Warning: {warning}" for warning in warnings)),
         "loop": tuple(_on_timing(about)),
         "reference": tuple(_on_setpoints(about)),
         "bounds": ("Limits of the inputs; outputs have those that the FMU declares.",),
-        "recording": tuple(_on_recording(about)),
+        "recording": (),
         "controllers": (
             "`ddpc-cosim list controllers` shows what else can compete, `docs/methods.md` what it does.",
         ),
     }
+    there = "controllers" if about.unstable else "recording"  # why there is none stands in the next section
+    return found | {there: (*_on_recording(about), *found[there])}
 
 
 def _on_responses(about: Circumstances) -> Iterator[str]:

@@ -13,8 +13,6 @@ from math import fsum, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
-import tomli_w
-
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, MissingLibraryError
 from ddpc_cosim.processes.sandbox import demanded
@@ -235,26 +233,23 @@ def tune_study(
     found = {key: tried[best(tried)].settings for key, tried in trials.items()}
     at_ends = {(one.problem, one.name): one.at_ends(found[one.problem, one.name]) for one in searches}
     tuned = _tuned_study(resolved, trials, at_ends, request)
-    text = tomli_w.dumps(tuned.tables())
-    write_atomically(folder / TUNED_FILE, encodable(text).encode())
+    write_atomically(folder / TUNED_FILE, tuned.toml())
     kept = [] if patterns else kept
-    if not request.compares:
-        table = encodable(_trials_table(trials, {}, at_ends, request)).encode()
-        write_atomically(folder / TRIALS_FILE, table)
-        return Tuned(trials, {}, at_ends, kept, None)
-    both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
-    progress.prepare("comparing on the seeds of the study")
-    count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
-    seconds = fsum(filter(isfinite, times))
-    facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
-    on_all = replace(selection, only=())
-    results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
-    held_out = {
-        key: _held_out(key, tried, results, reference_spans(resolved.problems[key[0]]), request.objectives)
-        for key, tried in trials.items()
-    }
+    folders, held_out, results = [folder], dict[tuple[str, str], tuple[Trial, Trial]](), None
+    if request.compares:
+        both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
+        progress.prepare("comparing on the seeds of the study")
+        count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
+        seconds = fsum(filter(isfinite, times))
+        facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
+        on_all = replace(selection, only=())
+        results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
+        for who, own in trials.items():
+            spans = reference_spans(resolved.problems[who[0]])
+            held_out[who] = _held_out(who, own, results, spans, request.objectives)
+        folders.append(folder / HELD_OUT_FOLDER)  # where the report finds it
     table = encodable(_trials_table(trials, held_out, at_ends, request)).encode()
-    for place in (folder, folder / HELD_OUT_FOLDER):  # where the report finds it
+    for place in folders:
         write_atomically(place / TRIALS_FILE, table)
     return Tuned(trials, held_out, at_ends, kept, results)
 

@@ -223,7 +223,7 @@ def test_an_output_of_which_nothing_lasts_can_be_asked_for(model_fmu) -> None:
     proposal = suggest_study(model_fmu("fast_pendulum"), outputs=["rate", "angle"], trial=False)
     text = study_text(proposal, "plant.fmu")
     assert not re.search(r"\b(nan|inf)\b", "\n".join(one for one in text.splitlines() if one[:1] != "#"))
-    assert 0.0 < proposal.nominal["rate"] < np.inf
+    assert 0.0 < proposal.study.plant.nominal["rate"] < np.inf
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,10 @@ from fmus.builder import (
 )
 
 from ddpc_cosim.cli.main import main
+from ddpc_cosim.signals import Steps
+from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study, write_study
-from ddpc_cosim.suggestion.design import Setpoints, SuggestedController
 from ddpc_cosim.suggestion.trial import tried_out
 from ddpc_cosim.suggestion.writing import Proposal
 
@@ -45,18 +46,26 @@ def run(folder: Path) -> str:
     return done.stdout
 
 
-def only(proposal: Proposal, *keys: str, **more: SuggestedController) -> Proposal:
-    return replace(proposal, controllers={key: proposal.controllers[key] for key in keys} | more)
+def only(proposal: Proposal, *keys: str, **more: ControllerSection) -> Proposal:
+    return proposal.changed(controllers={key: proposal.study.controllers[key] for key in keys} | more)
+
+
+def with_steps(proposal: Proposal, steps: Steps, **loop: float) -> Proposal:
+    """Return a proposal for one output with other setpoints, and with another loop."""
+    (output,) = proposal.setpoints
+    return proposal.changed(reference={output: steps}, loop=replace(proposal.study.loop, **loop))
 
 
 def test_what_cannot_start_is_left_out_with_the_reason_and_the_best_is_named(model_fmu, tmp_path) -> None:
     """A setting that is not possible is found before any run, a recording that is too short by one."""
     fmu = model_fmu("slow_tank")
     proposal = suggest_study(fmu, trial=False)
-    broken = SuggestedController("pid", "Broken PID", {"tuning": "step-test", "pairing": [7]}, "")
-    greedy = SuggestedController("deepc", "Greedy DeePC", {"horizon": 150, "lambda_g": 1.0}, "")
+    broken = ControllerSection(
+        type="pid", label="Broken PID", settings={"tuning": "step-test", "pairing": [7]}
+    )
+    greedy = ControllerSection(type="deepc", label="Greedy DeePC", settings={"horizon": 150, "lambda_g": 1.0})
     proposal = only(proposal, "pid", broken=broken, greedy=greedy)
-    text = written(tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None), fmu, tmp_path)
+    text = written(tried_out(proposal, monotonic() + 1000.0, lambda _: None), fmu, tmp_path)
     assert text.startswith("# Tried once; best: PID, step test, ")
     assert set(tomllib.loads(text)["controllers"]) == {"pid"}
     assert "Broken PID is left out: " in comments(text)
@@ -73,7 +82,7 @@ def test_where_the_output_is_limited_setpoints_are_moved_to_what_was_reached(mod
     fmu = model_fmu("saturating")
     proposal = only(suggest_study(fmu, trial=False), "pid")
     assert max(proposal.setpoints["y"].values) > 20.0
-    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
+    proved = tried_out(proposal, monotonic() + 1000.0, lambda _: None)
     assert 5.0 < max(proved.setpoints["y"].values) < 12.0
     text = written(proved, fmu, tmp_path)
     assert text.startswith("# Tried once; best: PID, step test, ")
@@ -87,7 +96,7 @@ def test_where_every_controller_fails_the_file_begins_with_it_and_the_likely_rea
     """A mass of 1 kg that falls, pushed by at most 1 N against 9.81 N: no authority."""
     fmu = model_fmu("falling")
     proposal = suggest_study(fmu, trial=False)
-    proved = tried_out(only(proposal, "pid"), fmu, monotonic() + 1000.0, lambda _: None)
+    proved = tried_out(only(proposal, "pid"), monotonic() + 1000.0, lambda _: None)
     text = written(proved, fmu, tmp_path)
     assert text.startswith("# Every controller fails; in the best run, place ends ")
     assert re.search(r"Likely why: .*place: the inputs move it by .* while they rest", comments(text))
@@ -102,8 +111,8 @@ def test_an_output_that_goes_elsewhere_than_in_the_step_test_is_told_with_its_in
     """x' = u^2 - x: the step test finds 0.1 per unit, and at the limits it is ten times as much."""
     fmu = model_fmu("even")
     proposal = only(suggest_study(fmu, trial=False), "pid")
-    proposal = replace(proposal, setpoints={"x": Setpoints((0.0, 60.0), (-0.05, -0.1))}, duration=120.0)
-    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
+    proposal = with_steps(proposal, Steps((0.0, 60.0), (-0.05, -0.1)), duration=120.0)
+    proved = tried_out(proposal, monotonic() + 1000.0, lambda _: None)
     text = comments(written(proved, fmu, tmp_path))
     found = re.search(r"Likely why: x ends .* test: at (\S+) with push (\S+), where .* say (\S+)\.", text)
     assert found is not None, text
@@ -119,7 +128,7 @@ def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried
         model_library("2.0"),
     )
     proposal = suggest_study(fmu, step_timeout=0.2, trial=False)
-    proved = tried_out(only(proposal, "pid", "mfapc"), fmu, monotonic() + 0.5, lambda _: None)
+    proved = tried_out(only(proposal, "pid", "mfapc"), monotonic() + 0.5, lambda _: None)
     text = written(proved, fmu, tmp_path)
     told = comments(text)
     assert "The time for trying was over before the end of " in told
@@ -134,9 +143,10 @@ def test_where_every_run_fails_the_inputs_keep_to_the_side_that_works(model_fmu,
     """y is the root of what is in the tank: if more flows out than is there, it is not a number."""
     fmu = model_fmu("one_sided")
     proposal = only(suggest_study(fmu, trial=False), "pid")
-    assert proposal.bounds["inflow"].low == -1.0
-    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
-    assert (proved.bounds["inflow"].low, proved.bounds["inflow"].high) == (0.0, 1.0)
+    assert proposal.study.bounds["inflow"].min == -1.0
+    proved = tried_out(proposal, monotonic() + 1000.0, lambda _: None)
+    limits = proved.study.bounds["inflow"]
+    assert (limits.min, limits.max) == (0.0, 1.0)
     assert "less, as every run failed" in written(proved, fmu, tmp_path)
     run(tmp_path)
 
@@ -148,9 +158,10 @@ def test_an_fmu_that_fails_after_a_while_is_run_for_as_long_as_it_works(tmp_path
         describe("2.0", f"integrator:{Fault.RETURN_ERROR:d}", INTEGRATOR[:2], interfaces=CO_SIMULATION),
         model_library("2.0"),
     )
-    proposal = replace(suggest_study(fmu, trial=False), sampling_time=0.01, duration=1.2)
-    proposal = replace(proposal, setpoints={"y": Setpoints((0.0, 0.6), (0.01, -0.01))})
-    proved = tried_out(only(proposal, "pid"), fmu, monotonic() + 1000.0, lambda _: None)
-    assert proved.samples * proved.sampling_time + proved.duration < 0.5
+    proposal = suggest_study(fmu, trial=False)
+    proposal = with_steps(proposal, Steps((0.0, 0.6), (0.01, -0.01)), sampling_time=0.01, duration=1.2)
+    proved = tried_out(only(proposal, "pid"), monotonic() + 1000.0, lambda _: None)
+    loop, recording = proved.study.loop, proved.study.recording
+    assert recording.samples * loop.sampling_time + loop.duration < 0.5
     assert "All in 10 % of the time" in written(proved, fmu, tmp_path)
     run(tmp_path)
