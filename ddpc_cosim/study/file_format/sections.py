@@ -421,7 +421,7 @@ class RecordingChanges(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioSection(Section):
-    """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
+    """What every controller is run under; without any there is one, ``nominal``, with nothing in it."""
 
     label: Text = setting("", doc="name in reports; empty: the key of the section")
     parameters: dict[str, Value] = setting({}, doc="plant parameters in this scenario")
