@@ -97,6 +97,11 @@ class Kinds:
     classes: Mapping[str, type[Any]] = field(hash=False)
     default: str = ""
 
+    def meant_by(self, table: Any) -> Sequence[type[Any]]:
+        """Return the class that a table says it is of; all of them where it says none, as a part of one."""
+        name = table.get(KIND) if isinstance(table, dict) else None
+        return [kind for known, kind in self.classes.items() if name in (None, known)]
+
 
 class InvalidFieldError(Exception):
     """A field of a section has no valid value, and that has been reported."""
@@ -123,6 +128,11 @@ class Section:
     def more_fields(cls) -> Mapping[str, "DeclaredField"]:
         """Return the fields that others declare, by their keys: they are held by a dict of the section."""
         return {}
+
+    @classmethod
+    def with_names(cls, table: dict[str, Any], change: "ChangeName") -> dict[str, Any]:
+        """Return a table of a file with names of files and plants changed where no field declares them."""
+        return table
 
     @classmethod
     def hint(cls, key: str) -> str:
@@ -372,6 +382,58 @@ def _kind_in(value: Any) -> dict[str, Any]:
 
 def _equal(value: Any, other: Any) -> bool:
     return bool(np.array_equal(value, other)) if isinstance(value, np.ndarray) else bool(value == other)
+
+
+ChangeName = Callable[[SettingInfo, str], str]
+"""Returns what takes the place of a name, of a file or plant, given what is declared of it."""
+
+
+def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = SettingInfo("")) -> Any:  # noqa: B008
+    """Return what a file says of a type, which nobody has checked, with each name of a file or plant changed.
+
+    Parameters
+    ----------
+    hint : object
+        The type.
+    value : object
+        What the file says; of a place in it perhaps a list of values that a sweep tries.
+    change : ChangeName
+        Called with each name.
+    info : SettingInfo
+        What is declared of the value.
+    """
+    origin, arguments = get_origin(hint), get_args(hint)
+    if isinstance(value, str):
+        return change(info, value) if info.file or info.plant else value
+    if origin is Annotated:
+        kinds = next((one for one in arguments if isinstance(one, Kinds)), None)
+        if kinds and isinstance(value, list):
+            return [with_names(hint, item, change, info) for item in value]
+        for kind in kinds.meant_by(value) if kinds else arguments[:1]:
+            value = with_names(kind, value, change, info)
+        return value
+    if isinstance(value, list):
+        entry = arguments[0] if origin in (list, Sequence) else hint
+        return [with_names(entry, item, change, info) for item in value]
+    if not isinstance(value, dict):
+        return value
+    if origin in (Union, UnionType):
+        for one in arguments:
+            value = with_names(one, value, change, info)
+    elif origin in (list, Sequence):  # one table for several, or entries by their numbers
+        if not all(map(str.isdecimal, value)):
+            return with_names(arguments[0], value, change, info)
+        return {key: with_names(arguments[0], item, change, info) for key, item in value.items()}
+    elif origin in (dict, Mapping):
+        return {key: with_names(arguments[1], item, change, info) for key, item in value.items()}
+    elif isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        known = declared_fields(hint)
+        value = {
+            key: with_names(known[key].hint, item, change, known[key].info) if key in known else item
+            for key, item in value.items()
+        }
+        return hint.with_names(value, change) if issubclass(hint, Section) else value
+    return value
 
 
 class _Fault(NamedTuple):

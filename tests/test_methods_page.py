@@ -4,13 +4,28 @@ import dataclasses
 import importlib.util
 import inspect
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any, get_args
 
 import pytest
 
 from ddpc_cosim import Variable, setting
+from ddpc_cosim.codec import Kinds, declared_fields
 from ddpc_cosim.plugins import plugin_names
+from ddpc_cosim.study.file_format.sections import (
+    BoundsSection,
+    ControllerSection,
+    LoopSection,
+    MetricsSection,
+    PlantSection,
+    RecordingSection,
+    ReportSection,
+    ScenarioSection,
+    Study,
+    StudyHead,
+)
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -40,6 +55,44 @@ def test_the_page_on_controllers_lists_what_settings_take_and_variables_have() -
     assert keywords - listed == {"`default`", "`default_factory`"}
     assert keywords - listed <= set(re.findall("`\\w+`", page))
     assert {f"`{field.name}`" for field in dataclasses.fields(Variable)} <= listed
+
+
+def classes_below(kind: Any) -> Iterator[type[Any]]:
+    """Yield a class of tables of a study file, and those of what its keys hold."""
+    yield kind
+    hints = [field.hint for field in declared_fields(kind).values()]
+    while hints:
+        hint = hints.pop()
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            yield from classes_below(hint)
+        for inner in get_args(hint):
+            hints += inner.classes.values() if isinstance(inner, Kinds) else [inner]
+
+
+def test_every_table_of_a_study_file_has_its_keys_on_their_page() -> None:
+    page = (DOCS / "study-keys.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^<!-- keys: (\S+) -->$", page, re.MULTILINE))
+    assert {f"{kind.__module__}:{kind.__name__}" for kind in classes_below(Study)} == listed
+
+
+def test_the_overview_of_sections_names_every_key() -> None:
+    """But what tools write: which study or controller another one is a variant of."""
+    page = (DOCS / "studies.md").read_text(encoding="utf-8").partition("## Sections")[2].partition("## ")[0]
+    rows = dict(re.findall(r"^\| `?(\w+)(?:\.[A-Z]+)?`? \| (.*) \|$", page, re.MULTILINE))
+    sections = {
+        "top": StudyHead,
+        "plant": PlantSection,
+        "loop": LoopSection,
+        "bounds": BoundsSection,
+        "recording": RecordingSection,
+        "scenarios": ScenarioSection,
+        "controllers": ControllerSection,
+        "metrics": MetricsSection,
+        "report": ReportSection,
+    }
+    for name, kind in sections.items():
+        named = set(re.findall(r"`(\w+)(?:\.\w+)*`", rows[name]))
+        assert {*declared_fields(kind)} - named <= {"based_on", "variant_of", "varied"}, name
 
 
 @pytest.mark.parametrize("name", plugin_names("controllers"))

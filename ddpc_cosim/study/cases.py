@@ -299,7 +299,6 @@ def _code_and_files(case: Case) -> dict[str, Any]:
         "code": [code_version(kind) for kind in types_in(_sections(case))],
         "files": [[hash_of_file(path) for path in paths] for paths in _files(case)],
         "plants": [content_of_plant(name) for name in _plants(case) if name],
-        **({"versions": versions} if (versions := case.conditions.versions) else {}),
     }
 
 
@@ -391,6 +390,8 @@ def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
     """Return a hash of everything that decides a case's result, but for its seed."""
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
+    if versions := case.conditions.versions:  # each scenario has conditions of its own
+        decisive["versions"] = versions
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
     for key in _NOT_DECISIVE:
         del decisive[key]

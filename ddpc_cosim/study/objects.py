@@ -2,26 +2,35 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
-from ddpc_cosim.codec import read, write, write_in_short
+from ddpc_cosim.codec import declared_fields, read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
 from ddpc_cosim.plant import FMIType, ParameterValue
-from ddpc_cosim.plugins import name_in_file, name_of
+from ddpc_cosim.plugins import name_of
+from ddpc_cosim.settings import Search
 from ddpc_cosim.signals import Drift, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
-from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS
-from ddpc_cosim.study.file_format.sections import expand_seeds, not_reserved
+from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP
+from ddpc_cosim.study.file_format.sections import (
+    ControllerSection,
+    LoopSection,
+    MetricsSection,
+    PlantSection,
+    ScenarioSection,
+    expand_seeds,
+    not_reserved,
+)
 from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
-from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, signal_table
+from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, plain
 from ddpc_cosim.study.reading import read_file, resolve_file
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
@@ -30,7 +39,56 @@ from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 
-Controllers = Mapping[str, Controller | str | Mapping[str, Controller | str]]
+Bounds = Mapping[str, tuple[float, float] | Mapping[str, float | str]]
+"""Limits by signal: both, or a table of ``min``, ``max`` and ``unit``; one left out is the plant's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A controller of a study, and what the study says of it besides its settings.
+
+    Parameters
+    ----------
+    controller : Controller or str
+        The controller, or the name of one with its defaults.
+    note : str
+        One line about it for the report.
+    bounds : mapping of str to (float, float), or to mapping of str to float or str
+        Limits that replace the study's for it, as of :class:`Problem`.
+    sweep : sequence of mapping of str to sequence, or one of them
+        Settings and values to try: of each mapping all combinations are run, with ``zip=True`` the first of
+        each, the second of each.
+    search : mapping of str to Linear, Log, Factor, Integer or Choice, or to False
+        Where ``ddpc-cosim tune`` looks for settings, in place of what its class declares; False: nowhere.
+    first_trials : sequence of mapping of str to Any
+        Settings that it tries next after those given.
+    tuned : mapping of str to Any
+        How its settings were found: the keys of the table ``tuned`` of a study file.
+    """
+
+    controller: Controller | str
+    note: str = ""
+    bounds: Bounds = field(default_factory=dict)
+    sweep: Mapping[str, Any] | Sequence[Mapping[str, Any]] = ()
+    search: Mapping[str, Search | Literal[False]] = field(default_factory=dict)
+    first_trials: Sequence[Mapping[str, Any]] = ()
+    tuned: Mapping[str, Any] = field(default_factory=dict)
+
+    def table(self) -> Table:
+        """Return the controller as a study file says it.
+
+        Raises
+        ------
+        ConfigError
+            Settings that no study file can say, all of them.
+        """
+        given = self.controller
+        kind = {"type": given} if isinstance(given, str) else controller_table(given)
+        return {**kind, **_of(ControllerSection, self)}
+
+
+Given = Controller | str | Entry
+Controllers = Mapping[str, Given | Mapping[str, Given]]
 """By label: a controller, the name of one with its defaults, or one for each problem."""
 
 
@@ -52,10 +110,12 @@ class Scenario:
         Tunable parameters that change during the run.
     drifts : sequence of Drift
         Tunable parameters that move linearly.
-    bounds : mapping of str to (float, float)
+    bounds : mapping of str to (float, float), or to mapping of str to float or str
         Limits in place of the problem's; infinite: none.
-    preview : int, optional
-        How many future references a controller may see; default: the problem's.
+    preview : int or "horizon", optional
+        How many future references a controller may see, or as many as it asks for; default: the problem's.
+    excitation : Excitation, optional
+        The experiment in place of the problem's.
     """
 
     label: str = ""
@@ -64,39 +124,38 @@ class Scenario:
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()
     drifts: Sequence[Drift] = ()
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    preview: int | None = None
+    bounds: Bounds = field(default_factory=dict)
+    preview: int | Literal["horizon"] | None = None
+    excitation: Excitation | None = None
 
-    def table(self) -> Table:
+    def table(self, inputs: Sequence[str] = ()) -> Table:
         """Return the scenario as a study file says it.
+
+        Parameters
+        ----------
+        inputs : sequence of str
+            The inputs that an experiment of its own excites.
 
         Raises
         ------
         ConfigError
             A signal that no study file can say.
         """
-        noise = self.noise.standard_deviation if isinstance(self.noise, GaussianNoise) else self.noise
-        conditions, disturbances = self.conditions, Table()
-        for name, signals in conditions.disturbances.items():
-            several = [signals] if isinstance(signals, Reference) else list(signals)
-            disturbances[name] = [signal_table(f"disturbance of {name}", one) for one in several]
-        recorded = {
-            name: signal_table(f"recorded input {name}", one)
-            for name, one in conditions.recorded_inputs.items()
+        conditions = self.conditions
+        disturbances = {
+            name: [signals] if isinstance(signals, Reference) else signals
+            for name, signals in conditions.disturbances.items()
         }
-        plain = {
-            "label": self.label,
-            "parameters": dict(self.parameters),
-            "noise": dict(noise),
-            "events": [write(event) for event in self.events],
-            "drifts": [write(drift) for drift in self.drifts],
-            "bounds": {name: _limits(limits) for name, limits in self.bounds.items()},
-            "disturbances": disturbances,
-            "inputs": {name: signal_table(f"input {name}", one) for name, one in conditions.inputs.items()},
-            "preview": self.preview,
-            "recording": _given({"inputs": recorded}),
-        }
-        return _given(plain | {key: dict(values) for key, values in conditions.effects.items()})
+        experiment = {} if self.excitation is None else experiment_table(self.excitation, inputs)
+        recorded = plain(conditions.recorded_inputs, "recorded input {}")
+        return _of(ScenarioSection, self) | _given(
+            {
+                "disturbances": plain(disturbances, "disturbance of {}"),
+                "inputs": plain(conditions.inputs, "input {}"),
+                "recording": experiment | _given({"inputs": recorded}),
+                **plain(conditions.effects),
+            }
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,15 +175,19 @@ class Problem:
         Of the controlled output, or of each by name, in their units.
     inputs, outputs, measurements : sequence of str, optional
         What is driven, controlled and measured; default: all, and the controlled outputs.
-    bounds : mapping of str to (float, float)
-        Limits of inputs and controlled outputs in place of the plant's; infinite: none.
+    bounds : mapping of str to (float, float), or to mapping of str to float or str
+        Limits of inputs and controlled outputs in place of the plant's; infinite: none. A mapping may have
+        ``min``, ``max`` and ``unit``; what it leaves out is the plant's own.
     excitation : Excitation, optional
         The experiment that data-driven controllers learn from, sampled as the loop; each case draws it with
         its own seed.
     stabiliser : Controller, optional
         Keeps the plant during the experiment.
-    recording : Recording, optional
-        Logged data, in place of an experiment.
+    recording : Recording or mapping of str to Any, optional
+        Logged data, in place of an experiment; or ``file``, one or several, with ``columns``,
+        ``time_column`` and ``time_tolerance``.
+    recorded_inputs : mapping of str to Reference
+        Signals of inputs that no controller drives during the experiment, in place of a scenario's.
     parameters : mapping of str to float, int, bool or str
         Plant parameters.
     noise, conditions, events
@@ -146,6 +209,8 @@ class Problem:
         Start values of inputs, sizes that controllers scale by, and units to show, in place of the plant's.
     fmi_type : str
         How an FMU is run.
+    isolated : bool or "auto"
+        Whether each case runs its FMU in a process of its own; auto: if the FMU is a supplied file.
     step_timeout, case_timeout : float, optional
         Longest time for any call of the plant or of a controller, and for a whole case [s].
     memory_limit : float, optional
@@ -155,6 +220,13 @@ class Problem:
     coupling : mapping of str to float or str
         How they do: ``algorithm``, ``communication_step``, ``steps`` (of parts, by name) and further
         arguments of :class:`ddpc_cosim.CoupledPlant`.
+    parts : mapping of str to mapping of str to Any
+        What is said of parts besides, those of an SSP archive too: ``parameters``, ``start``, ``step``,
+        ``fmi_type``, ``isolated``.
+    title, summary, source : str
+        Of this problem, where a study has several.
+    report : mapping of str to Any
+        What the report shows of this problem besides: see :class:`Study`.
 
     Raises
     ------
@@ -170,10 +242,11 @@ class Problem:
     inputs: Sequence[str] = ()
     outputs: Sequence[str] = ()
     measurements: Sequence[str] = ()
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Bounds = field(default_factory=dict)
     excitation: Excitation | None = None
     stabiliser: Controller | None = None
-    recording: Recording | None = None
+    recording: Recording | Mapping[str, Any] | None = None
+    recorded_inputs: Mapping[str, Reference] = field(default_factory=dict)
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     noise: GaussianNoise | Mapping[str, float] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
@@ -188,11 +261,17 @@ class Problem:
     nominal: Mapping[str, float] = field(default_factory=dict)
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
+    isolated: Literal["auto", True, False] = "auto"
     step_timeout: float | None = None
     case_timeout: float | None = None
     memory_limit: float | None = None
     connections: Sequence[Connection] = ()
     coupling: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    title: str = ""
+    summary: str = ""
+    source: str = ""
+    report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         faults = []
@@ -201,9 +280,10 @@ class Problem:
             faults.append(f"problem: {', '.join(given)} belong to a scenario; needed: in one of scenarios")
         if self.excitation is not None and self.recording is not None:
             faults.append("problem: give an excitation or a recording, not both")
-        if self.excitation is not None:
-            faults += [f"problem: {one}" for one in sampling_faults(self.excitation, self.sampling_time)]
-        elif self.stabiliser is not None:
+        experiments = [self.excitation, *(scenario.excitation for scenario in self.scenarios.values())]
+        for excitation in filter(None, experiments):
+            faults += [f"problem: {fault}" for fault in sampling_faults(excitation, self.sampling_time)]
+        if self.excitation is None and self.stabiliser is not None:
             faults.append("problem: stabiliser needs an excitation, which is added to its inputs")
         if faults:
             raise ConfigError(faults)
@@ -221,89 +301,70 @@ class Problem:
         ConfigError
             A signal or an object that no study file can say.
         """
-        loop = {
-            "sampling_time": float(self.sampling_time),
-            "duration": float(self.duration),
-            "start_time": float(self.start_time) or None,
-            "start": "recording-end" if self.continue_recording else None,
-            "preview": self.preview,
-            "step_timeout": self.step_timeout,
-            "case_timeout": self.case_timeout,
-            "memory_limit": self.memory_limit,
-        }
         nominal = Scenario(noise=self.noise, conditions=self.conditions, events=self.events)
         scenarios = self.scenarios or {"nominal": nominal}
+        inputs = self._names("inputs") if any(one.excitation for one in scenarios.values()) else []
         references = self.reference
         if isinstance(references, Reference):
             references = {self._names("outputs")[0]: references}
         tables = {
             "plant": self._plant_table(),
-            "loop": {key: value for key, value in loop.items() if value is not None},
-            "reference": {
-                name: signal_table(f"reference of {name}", one) for name, one in references.items()
-            },
-            "bounds": {name: _limits(limits) for name, limits in self.bounds.items()},
-            "recording": self._recording_table(recording),
-            "scenarios": {name: scenario.table() for name, scenario in scenarios.items()},
-            "metrics": _given(
-                {
-                    key: {one: dict(v) if isinstance(v, Mapping) else v for one, v in given.items()}
-                    for key, given in (("cost", self.cost), ("relevant", self.relevant))
-                }
-            ),
+            "loop": _of(LoopSection, self, "start"),
+            "reference": plain(references, "reference of {}"),
+            "bounds": _limits(self.bounds),
+            "recording": self._recording_table(),
+            "scenarios": {name: scenario.table(inputs) for name, scenario in scenarios.items()},
+            "metrics": _of(MetricsSection, self),
         }
-        return {key: table for key, table in tables.items() if table}
+        if self.continue_recording:
+            tables["loop"]["start"] = "recording-end"
+        words = {key: plain(getattr(self, key)) for key in ("title", "summary", "source", "report")}
+        tables = absolute_paths(_given(tables | words), Path.cwd())
+        return tables | ({"recording": {"file": recording}} if isinstance(self.recording, Recording) else {})
 
     def write_recording(self, path: Path) -> None:
         """Write the logged data, if there are any, as the CSV file that :meth:`tables` names."""
-        if self.recording is not None:
+        if isinstance(self.recording, Recording):
             outputs = self._names("outputs")
             measured = list(self.measurements) or outputs
             self.recording.write_csv(path, self._names("inputs"), outputs, measured)
 
     def _plant_table(self) -> Table:
-        given = {
-            "inputs": list(self.inputs),
-            "outputs": list(self.outputs),
-            "measurements": list(self.measurements),
-            "parameters": dict(self.parameters),
-            "start": dict(self.start),
-            "nominal": dict(self.nominal),
-            "display_units": dict(self.display_units),
-        }
-        how = {} if self.fmi_type == "auto" else {"fmi_type": self.fmi_type}
-        return {**self._plant_name(), **_given(given), **how}
+        coupling = {key: value for key, value in self.coupling.items() if key != "steps"}
+        table = {**_of(PlantSection, self, "coupling", "parts"), **self._plant_name()}
+        return table | _given({"coupling": plain(coupling)})
 
     def _plant_name(self) -> Table:
-        coupling = dict(self.coupling)
+        steps = {name: {"step": step} for name, step in self.coupling.get("steps", {}).items()}
+        said = {name: {**steps.get(name, {}), **plain(part)} for name, part in self.parts.items()}
         if not isinstance(self.plant, Mapping):
-            return _plant(self.plant, "name") | ({"coupling": coupling} if coupling else {})
-        steps = coupling.pop("steps", {})
+            parts = [{"name": name, **part} for name, part in said.items()]
+            return _plant(self.plant, "name") | _given({"parts": parts})
+        said = steps | said
         parts = [
-            {"name": name, **_plant(part, "plant"), **({"step": steps[name]} if name in steps else {})}
-            for name, part in self.plant.items()
+            {"name": name, **_plant(part, "plant"), **said.get(name, {})} for name, part in self.plant.items()
         ]
-        connections = [write_in_short(one) for one in self.connections]
-        return {"parts": parts, "connections": connections, **({"coupling": coupling} if coupling else {})}
+        parts += [{"name": name, **part} for name, part in said.items() if name not in self.plant]
+        return {"parts": parts, "connections": plain(self.connections)}
 
-    def _recording_table(self, path: str) -> Table:
-        if self.recording is not None:
-            return {"file": path}
+    def _recording_table(self) -> Table:
+        if isinstance(self.recording, Mapping):
+            return dict(plain(self.recording))
         if self.excitation is None:
             return {}
         table = experiment_table(self.excitation, self._names("inputs"))
         if self.stabiliser is not None:
             table["controller"] = controller_table(self.stabiliser)
-        return table
+        return table | _given({"inputs": plain(self.recorded_inputs, "recorded input {}")})
 
     def _names(self, which: str) -> list[str]:
         """Return the inputs or outputs that take part, where none are named those of the plant."""
         if given := list(getattr(self, which)):
             return given
-        from ddpc_cosim.study.file_format.sections import PlantSection
         from ddpc_cosim.study.plants import PlantSpec
 
-        variables = PlantSpec.of(read(PlantSection, self._plant_name()), Path()).variables()
+        table = absolute_paths({"plant": self._plant_name()}, Path.cwd())["plant"]
+        variables = PlantSpec.of(read(PlantSection, table), Path()).variables()
         return list(getattr(variables, f"default_{which}") or getattr(variables, which))
 
 
@@ -312,9 +373,9 @@ def _plant(plant: Any, key: str) -> Table:
     path = plant if isinstance(plant, PathLike) else Path(plant) if isinstance(plant, str) else None
     suffix = "" if path is None else Path(path).suffix.lower()
     if path is not None and (suffix in (".fmu", ".ssp") or isinstance(plant, PathLike)):
-        return {"ssp" if suffix == ".ssp" else "fmu": str(Path(path).resolve())}
+        return {"ssp" if suffix == ".ssp" else "fmu": str(path)}
     if isinstance(plant, str):
-        return {key: name_in_file(plant, lambda file: Path(file).resolve())}
+        return {key: plant}
     return {key: name_of("plants", plant, getattr(plant, "name", type(plant).__name__))}
 
 
@@ -326,9 +387,27 @@ def _given(table: Table) -> Table:
     return {key: value for key, value in table.items() if value not in (None, "", {}, [])}
 
 
-def _limits(limits: tuple[float, float]) -> Table:
-    low, high = limits
-    return {"min": float(low), "max": float(high)}
+def _of(section: type[Any], given: Any, *others: str) -> Table:
+    """Return what an object says of a section's keys by fields of the same names, without defaults."""
+    names = {one.name for one in fields(given)}
+    keys = {key: one for key, one in declared_fields(section).items() if key in names and key not in others}
+    said = {key: plain(getattr(given, key)) for key in keys}
+    if said.get("bounds"):
+        said["bounds"] = _limits(given.bounds)
+    return {
+        key: value
+        for key, value in _given(said).items()
+        if keys[key].is_required or value != keys[key].default()
+    }
+
+
+def _limits(bounds: Bounds) -> Table:
+    return {
+        name: plain(limits)
+        if isinstance(limits, Mapping)
+        else dict(zip(("min", "max"), map(float, limits), strict=True))
+        for name, limits in bounds.items()
+    }
 
 
 class Study:
@@ -338,9 +417,9 @@ class Study:
     ----------
     problems : Problem or mapping of str to Problem
         What is asked of the controllers.
-    controllers : mapping of str to Controller, str, or mapping of str to these
-        By label; the name of a controller stands for its defaults. A mapping has one for each problem, and
-        none for those that it leaves out.
+    controllers : mapping of str to Controller, str, Entry, or mapping of str to these
+        By label; the name of a controller stands for its defaults, an :class:`Entry` says more of it. A
+        mapping has one for each problem, and none for those that it leaves out.
     seeds : sequence of int
         Each case is run with each of them.
     name, title, summary, source : str
@@ -348,6 +427,12 @@ class Study:
     reference_points : (str, str), optional
         Labels of two controllers that do not compete: those at 0 % and at 100 % of the scale on which
         :meth:`StudyResults.shares` places all others.
+    report : mapping of str to Any
+        What the report shows besides: the keys of the table ``report`` of a study file, in which controllers
+        have the names that :attr:`controllers` lists.
+    sweep : sequence of mapping of str to sequence, or one of them
+        Values to try of anything in the study, by its path in the file:
+        ``{"loop.sampling_time": [0.1, 0.2]}``.
 
     Raises
     ------
@@ -380,22 +465,26 @@ class Study:
         summary: str = "",
         source: str = "",
         reference_points: tuple[str, str] | None = None,
+        report: Mapping[str, Any] | None = None,
+        sweep: Mapping[str, Any] | Sequence[Mapping[str, Any]] = (),
     ) -> None:
         faults = list[str]()
         told = {"title": title, "summary": summary, "source": source}
+        said = _given({**told, "report": plain(report)})
         if not isinstance(seeds, Iterable):
             faults.append(f"seeds = {seeds!r}: needed: a sequence, e.g. [{seeds!r}] or range({seeds!r})")
             seeds = ()
-        tables: Table = {"name": name, **_given(told), "seeds": [int(seed) for seed in seeds]}
+        tables: Table = {"name": name, **said, "seeds": [int(seed) for seed in seeds]}
         self._recordings: dict[str, Problem] = {}
         if isinstance(problems, Problem):
-            tables |= self._problem_tables("recording.csv", problems, faults)
+            tables = self._problem_tables("recording.csv", problems, faults) | tables
         else:
             tables[PROBLEMS] = {
                 key: self._problem_tables(f"recording-{key}.csv", one, faults)
                 for key, one in problems.items()
             }
-        tables["controllers"] = _controllers(controllers, list(tables.get(PROBLEMS, ())), faults)
+        sections = _controllers(controllers, list(tables.get(PROBLEMS, ())), faults)
+        tables |= absolute_paths({CONTROLLERS: sections, **_given({SWEEP: plain(sweep)})}, Path.cwd())
         if reference_points:
             faults += [
                 f'reference_points: no controller "{label}"; {did_you_mean(label, controllers)}'
@@ -403,13 +492,13 @@ class Study:
                 if label not in controllers
             ]
             ends = dict(zip(("zero", "full"), map(_key, reference_points), strict=True))
-            tables["report"] = {"reference_points": ends}
+            tables["report"] = {**tables.get("report", {}), "reference_points": ends}
         if faults:
             raise ConfigError(faults)
         self._file = StudyFile(name, Path.cwd(), tables)
 
     def _problem_tables(self, recording: str, problem: Problem, faults: list[str]) -> Table:
-        if problem.recording is not None:
+        if isinstance(problem.recording, Recording):
             self._recordings[recording] = problem
         try:
             return problem.tables(recording)
@@ -605,10 +694,10 @@ def _controllers(controllers: Controllers, problems: Sequence[str], faults: list
 
 
 def _controller(label: str, given: Any) -> Table:
-    if isinstance(given, Controller):
-        return controller_table(given)
-    if isinstance(given, str):
-        return {"type": given}
+    if isinstance(given, Controller | str):
+        given = Entry(controller=given)
+    if isinstance(given, Entry) and isinstance(given.controller, Controller | str):
+        return given.table()
     raise ConfigError(
         f'controllers: "{label}" is {given!r}; needed: a controller, the name of one, or one for each problem'
     )

@@ -18,7 +18,7 @@ from ddpc_cosim.study.file_format.replacing import (
     replaced,
     without_panels_of,
 )
-from ddpc_cosim.study.file_format.sections import Study, StudyHead
+from ddpc_cosim.study.file_format.sections import ScenarioSection, Study, StudyHead
 from ddpc_cosim.texts import encodable
 from fmu_plants.spelling import did_you_mean
 
@@ -56,10 +56,10 @@ class WholeStudy:
     def of_tables(cls, tables: Table) -> Self:
         """Return the study that :meth:`tables` returned the tables of."""
         if PROBLEMS not in tables:
-            return cls.of(read(Study, tables))
+            return cls.of(_written(tables))
         head = read(StudyHead, {key: tables[key] for key in OF_HEAD if key in tables})
         parts = flat_studies(tables, ValidationErrors())
-        return cls(head, {part.problem: read(Study, part.tables) for part in parts})
+        return cls(head, {part.problem: _written(part.tables) for part in parts})
 
     def tables(self) -> Table:
         """Return the study as a file says it."""
@@ -95,6 +95,31 @@ class WholeStudy:
         changed = {name: replace(one, seeds=seeds) for name, one in self.problems.items()}
         head = changed[self.head.name] if self.is_flat else replace(self.head, seeds=seeds)
         return type(self)(head, changed)
+
+
+def _written(tables: Table) -> Study:
+    """Return a flat study that was run; conditions that are not installed here are kept by their names."""
+    known, scenarios = declared_fields(ScenarioSection), tables.get("scenarios")
+    gone = {
+        name: {key: value for key, value in one.items() if key not in known and _is_effect(value)}
+        for name, one in (scenarios.items() if isinstance(scenarios, dict) else ())
+        if isinstance(one, dict) and one.keys() - known.keys()
+    }
+    if not gone:
+        return read(Study, tables)
+    sound = {
+        name: {key: value for key, value in one.items() if key not in gone.get(name, {})}
+        for name, one in tables["scenarios"].items()
+    }
+    study = read(Study, tables | {"scenarios": sound})
+    kept = {
+        name: replace(one, effects=one.effects | gone.get(name, {})) for name, one in study.scenarios.items()
+    }
+    return replace(study, scenarios=kept)
+
+
+def _is_effect(value: Any) -> bool:
+    return isinstance(value, dict) and all(type(number) in (int, float) for number in value.values())
 
 
 class FlatStudy(NamedTuple):

@@ -2,12 +2,14 @@
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
@@ -406,7 +408,26 @@ def load_results(folder: str | Path) -> StudyResults:
         study = _study(content)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
+    _warn_of_conditions(study)
     return replace(load_cases(folder, study, case_ids).of(folder, study, provenance), runs=runs)
+
+
+def _warn_of_conditions(study: "WholeStudy") -> None:
+    """Say which conditions of a study are of packages that are not installed any more."""
+    known = all_conditions()
+    scenarios = [one for problem in study.problems.values() for one in problem.scenarios.items()]
+    gone: dict[str, dict[str, None]] = {}
+    for name, scenario in scenarios:
+        for key in scenario.effects.keys() - known.keys():
+            gone.setdefault(key, {})[name] = None
+    for key, names in gone.items():
+        whose = f"{'scenario' if len(names) == 1 else 'scenarios'} {', '.join(names)}"
+        what = f"{whose}: the condition {key} is not installed here"
+        warnings.warn(
+            f"{what}; the runs are as they were, and what it did is shown by its name and values",
+            CosimWarning,
+            stacklevel=3,
+        )
 
 
 class Loaded(NamedTuple):

@@ -1,22 +1,28 @@
-"""Write tables of pages from the code: what controllers declare, and the parameters of classes.
+"""Write tables of pages from the code: settings of controllers, keys of study files, parameters of classes.
 
 Run ``python docs/scripts/generate_settings.py``. A table stands between ``<!-- settings: NAME -->`` and
 ``<!-- end -->``; NAME is a controller's entry point, or ``module:Class`` of anything that declares settings.
-After ``<!-- parameters: module:Class -->`` it is what the class's docstring says of its parameters.
+After ``<!-- keys: module:Class -->`` it has the keys of a table of a study file, and after
+``<!-- parameters: module:Class -->`` what the class's docstring says of its parameters.
 """
 
 import dataclasses
 import inspect
+import math
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from ddpc_cosim import declared_settings
+from ddpc_cosim import SettingInfo, declared_settings
+from ddpc_cosim.codec import KIND, Kinds, declared_fields, shown, write_in_short
 from ddpc_cosim.plugins import load_plugin
 
 DOCS = Path(__file__).parents[1]
-PAGES = ("methods.md", "extend/write-a-controller-plug-in.md")
-_TABLE = re.compile(r"(<!-- (settings|parameters): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+PAGES = ("methods.md", "study-keys.md", "extend/write-a-controller-plug-in.md")
+_TYPES = {bool: "true or false", int: "integer", float: "number", str: "text"}
+_TABLE = re.compile(r"(<!-- (settings|keys|parameters): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _PARAMETER = re.compile(r"^(\S.*?) : (.*)\n((?: {4}.*\n?)+)", re.MULTILINE)
 
 
@@ -32,6 +38,58 @@ def settings_table(plugin: type[Any]) -> str:
     return "\n".join(rows) + "\n"
 
 
+def keys_table(kind: type[Any]) -> str:
+    """Return what a table of a study file is, and the table of its keys in Markdown."""
+    about = (inspect.getdoc(kind) or "").partition("\n")[0].replace("``", "`")
+    rows = [about, "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
+    rows += [f'| `{KIND}` | | `"{kind.kind}"` | |'] if hasattr(kind, KIND) else []
+    for key, field in declared_fields(kind).items():
+        value = None if field.is_required else _short(field.default())
+        default = "" if value in ({}, [], "", None, math.inf) else f"`{_toml(value)}`"
+        meaning = f"{field.info.doc} [{field.info.unit}]" if field.info.unit else field.info.doc
+        cells = (f"`{key}`", "required" if field.is_required else default, _allowed(field.hint, field.info))
+        rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in (*cells, meaning)) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def _short(value: Any) -> Any:
+    """Return a default as a file says it, without what are defaults in it."""
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    return write_in_short(value) if dataclasses.is_dataclass(value) else value
+
+
+def _allowed(hint: Any, info: SettingInfo) -> str:
+    """Return the type of a key's value, and its range, in words."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return (
+            "table with `kind`"
+            if any(isinstance(a, Kinds) for a in arguments)
+            else _allowed(arguments[0], info)
+        )
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_allowed(a, info) for a in arguments if a is not NoneType))
+    if origin is Literal:
+        return " or ".join(f"`{_toml(value)}`" for value in arguments)
+    if origin in (dict, Mapping):
+        return f"table by name: {_allowed(arguments[1], info)}"
+    if origin in (list, Sequence):
+        return f"list: {_allowed(arguments[0], info)}"
+    if hint not in _TYPES:
+        return "table" if dataclasses.is_dataclass(hint) else "any"
+    limits = info.allowed if hint in (int, float) and info.allowed != "any" else ""
+    return " ".join(filter(None, ("path" if info.file and hint is str else _TYPES[hint], limits)))
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        if not value:
+            return "{}"
+        return f"{{ {', '.join(f'{key} = {_toml(item)}' for key, item in value.items())} }}"
+    return str(value).lower() if isinstance(value, bool) else shown(value).replace("'", '"')
+
+
 def parameters_table(kind: type[Any]) -> str:
     """Return the table of a class's parameters in Markdown, from its docstring."""
     rows = ["| name | type | meaning |", "|---|---|---|"]
@@ -44,7 +102,7 @@ def parameters_table(kind: type[Any]) -> str:
 
 def with_tables(text: str) -> str:
     """Return a page with its tables written anew."""
-    tables = {"settings": settings_table, "parameters": parameters_table}
+    tables = {"settings": settings_table, "keys": keys_table, "parameters": parameters_table}
     return _TABLE.sub(
         lambda match: match[1] + tables[match[2]](load_plugin("controllers", match[3])) + match[4], text
     )

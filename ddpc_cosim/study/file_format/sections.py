@@ -5,23 +5,47 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from ddpc_cosim.codec import DeclaredField, Prepared, Rule, Section, Size, declared_fields, differing, shown
+from ddpc_cosim.codec import (
+    ChangeName,
+    DeclaredField,
+    Prepared,
+    Rule,
+    Section,
+    Size,
+    declared_fields,
+    differing,
+    shown,
+)
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.csv_files import TIME_TOLERANCE
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.excitations import InputExcitation
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search, setting
+from ddpc_cosim.settings import (
+    Choice,
+    Factor,
+    Integer,
+    Linear,
+    Log,
+    Search,
+    SettingInfo,
+    map_files,
+    map_plants,
+    setting,
+)
 from ddpc_cosim.signals import Drift, InputSignal, ParameterChange, ReferenceSignal
 from ddpc_cosim.study.case_files import DOING_NOTHING
+from ddpc_cosim.study.controller_plugins import controller_class
+from ddpc_cosim.study.file_format.replacing import PROBLEMS
 from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
 from ddpc_cosim.texts import printable
 from fmu_plants.spelling import did_you_mean
@@ -167,7 +191,7 @@ class PlantSection(Section):
     name: str = setting(
         "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
     )
-    fmu: str = setting("", doc="path of an FMU, relative to the study file")
+    fmu: str = setting("", doc="path of an FMU, relative to the study file", file=True)
     ssp: str = setting("", doc="path of an SSP archive, relative to the study file", file=True)
     parts: list[PartSection] = setting([], doc="the parts of a coupled plant")
     connections: list[Connection] = setting([], doc="what the parts exchange")
@@ -295,6 +319,36 @@ class StabiliserSection(Section):
     type: str = setting(doc="a controller of `ddpc-cosim list controllers`, or module:Class")
     settings: dict[str, Any] = setting({}, doc="settings that differ from the controller's defaults")
 
+    @classmethod
+    def with_names(cls, table: dict[str, Any], change: ChangeName) -> dict[str, Any]:
+        """Return it with the names of files and plants changed that its settings are."""
+        return _with_names_in_settings(table, change)
+
+
+def _with_names_in_settings(section: dict[str, Any], change: ChangeName, kind: Any = None) -> dict[str, Any]:
+    """Return a controller's table, and what differs in problems, with the names in its settings changed."""
+    kind = section.get("type", kind)
+
+    def of_settings(settings: Any) -> Any:
+        if isinstance(settings, list):
+            return [of_settings(table) for table in settings]
+        with suppress(TypeError, AttributeError, CosimError):  # its own check says what is wrong
+            chosen = controller_class(kind)
+            settings = map_files(chosen, settings, partial(change, SettingInfo("", file=True)))
+            return map_plants(chosen, settings, partial(change, SettingInfo("", plant=True)))
+        return settings
+
+    found = section | {key: of_settings(section[key]) for key in _OF_SETTINGS & section.keys()}
+    if isinstance(problems := found.get(PROBLEMS), dict):
+        found[PROBLEMS] = {
+            name: _with_names_in_settings(changes, change, kind) if isinstance(changes, dict) else changes
+            for name, changes in problems.items()
+        }
+    return found
+
+
+_OF_SETTINGS = {"settings", "sweep", "first_trials"}
+
 
 def _one_or_more(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
@@ -367,7 +421,7 @@ class RecordingChanges(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioSection(Section):
-    """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
+    """What every controller is run under; without any there is one, ``nominal``, with nothing in it."""
 
     label: Text = setting("", doc="name in reports; empty: the key of the section")
     parameters: dict[str, Value] = setting({}, doc="plant parameters in this scenario")
@@ -502,11 +556,22 @@ class SearchSection(Section):
     @property
     def space(self) -> Search | None:
         """The search space; None if the setting is kept."""
-        ranges = {Linear: self.linear, Log: self.log, Factor: self.factor, Integer: self.integer}
-        for kind, ends in ranges.items():
-            if ends is not None:
-                return kind(*ends)
+        for key, kind in _RANGES.items():
+            if (ends := getattr(self, key)) is not None:
+                space: Linear = kind(*ends)
+                return space
         return Choice(self.choices) if self.choices else None
+
+
+_RANGES: dict[str, type[Any]] = {"linear": Linear, "log": Log, "factor": Factor, "integer": Integer}
+
+
+def search_table(space: Search) -> dict[str, Any]:
+    """Return a search space as the table of a :class:`SearchSection`."""
+    if isinstance(space, Choice):
+        return {"choices": list(space.values)}
+    key = next(key for key, kind in _RANGES.items() if type(space) is kind)
+    return {key: [space.low, space.high]}
 
 
 def _none_for_false(table: Any) -> Any:
@@ -540,6 +605,11 @@ class ControllerSection(Section):
     )
     variant_of: str = setting("", doc="the controller whose sweep this one is part of")
     varied: list[str] = setting([], doc="settings in which it differs from that controller")
+
+    @classmethod
+    def with_names(cls, table: dict[str, Any], change: ChangeName) -> dict[str, Any]:
+        """Return it with the names of files and plants changed that its settings are."""
+        return _with_names_in_settings(table, change)
 
     @classmethod
     def hint(cls, key: str) -> str:

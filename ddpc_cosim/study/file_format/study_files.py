@@ -10,11 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from ddpc_cosim.codec import in_folder, plant_in_folder
+from ddpc_cosim.codec import in_folder, plant_in_folder, with_names
 from ddpc_cosim.errors import ConfigError, CosimError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.settings import PLANT, map_files, map_plants
-from ddpc_cosim.study.controller_plugins import controller_class
+from ddpc_cosim.settings import PLANT, SettingInfo
 from ddpc_cosim.study.file_format.replacing import (
     CONTROLLERS,
     EXTENDS,
@@ -27,6 +26,7 @@ from ddpc_cosim.study.file_format.replacing import (
     not_said,
     replaced,
 )
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.file_format.sweeps import path_of
 from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.files import is_file
@@ -212,77 +212,36 @@ def _as_name(stem: str) -> str:
 def absolute_paths(tables: Table, folder: Path) -> Table:
     """Return the tables of a study, or of a problem, in which files are named by absolute paths."""
 
-    def absolute(path: Any) -> Any:
-        if isinstance(path, list):
-            return [absolute(one) for one in path]
-        return str(in_folder(folder, path)) if isinstance(path, str) and path not in ("", PLANT) else path
-
-    def of_plant(name: Any) -> Any:
-        if isinstance(name, list):
-            return [of_plant(one) for one in name]
-        return plant_in_folder(folder, name) if isinstance(name, str) else name
-
-    def of_signals(value: Any) -> Any:
-        if isinstance(value, list):
-            return [of_signals(item) for item in value]
-        if not isinstance(value, dict):
-            return value
-        files = {"file": absolute(value["file"])} if {"kind", "file"} <= value.keys() else {}
-        return {name: of_signals(item) for name, item in value.items()} | files
-
-    def of_settings(settings: Any, kind: Any) -> Any:
-        if isinstance(settings, list):
-            return [of_settings(one, kind) for one in settings]
-        with suppress(TypeError, AttributeError, CosimError):  # its own check says what is wrong
-            chosen = controller_class(kind)
-            return map_plants(chosen, map_files(chosen, settings, absolute), of_plant)
-        return settings
-
-    def of_controller(section: Any, kind: Any = None) -> Any:
-        if not isinstance(section, dict):
-            return section
-        found, kind = dict(section), section.get("type", kind)
-        for key in found.keys() & {"settings", SWEEP}:
-            found[key] = of_settings(found[key], kind)
-        if isinstance(found.get(PROBLEMS), dict):
-            found[PROBLEMS] = {name: of_controller(one, kind) for name, one in found[PROBLEMS].items()}
-        return found
-
-    def of_parts(parts: Any) -> Any:
-        several = isinstance(parts, list) and all(isinstance(one, dict) for one in parts)
-        if not several:
-            return parts
-        named = {"fmu": absolute, "plant": of_plant}
-        return [one | {key: named[key](one[key]) for key in named.keys() & one.keys()} for one in parts]
+    def absolute(info: SettingInfo, name: str) -> str:
+        if info.plant:
+            return plant_in_folder(folder, name)
+        return name if name in ("", PLANT) else str(in_folder(folder, name))
 
     def of_sweep(key: str, values: Any) -> Any:
-        path = tuple(map(str, path_of(key) or ("",)))
-        if path[0] == CONTROLLERS and path[-2:-1] == ("settings",):
-            with suppress(KeyError, TypeError):
-                return of_settings({path[-1]: values}, tables[CONTROLLERS][path[1]]["type"])[path[-1]]
-        if path[:2] == ("plant", "name"):
-            return of_plant(values)
-        return absolute(values) if path[-1] in ("file", "fmu", "ssp") else values
+        """Return values by a path: those of a study that says nothing else."""
+        path = path_of(key) or ()
+        path = path[2:] if path[:1] == (PROBLEMS,) else path
+        table = values
+        for name in reversed(path):
+            table = {name: table}
+        with suppress(LookupError, TypeError):
+            table[CONTROLLERS][path[1]] |= {"type": tables[CONTROLLERS][path[1]]["type"]}
+        table = with_names(Study, table, absolute) if path else table
+        for name in path:
+            table = table[name]
+        return table
 
-    found: Table = {key: of_signals(one) if key in OF_PROBLEM else one for key, one in tables.items()}
-    for table, key, change in (
-        ("plant", "name", of_plant),
-        ("plant", "fmu", absolute),
-        ("plant", "ssp", absolute),
-        ("plant", "parts", of_parts),
-        ("recording", "file", absolute),
-        ("recording", "controller", of_controller),
-    ):
-        if isinstance(found.get(table), dict) and key in found[table]:
-            found[table][key] = change(found[table][key])
-    for key, change in ((CONTROLLERS, of_controller), (PROBLEMS, lambda one: absolute_paths(one, folder))):
-        if isinstance(found.get(key), dict):
-            found[key] = {
-                name: change(one) if isinstance(one, dict) else one for name, one in found[key].items()
-            }
+    found: Table = with_names(Study, tables, absolute)
+    if isinstance(problems := found.get(PROBLEMS), dict):
+        found[PROBLEMS] = {
+            name: absolute_paths(problem, folder) if isinstance(problem, dict) else problem
+            for name, problem in problems.items()
+        }
     if isinstance(sweep := found.get(SWEEP), list | dict):
         found[SWEEP] = [
-            {key: of_sweep(key, one) for key, one in table.items()} if isinstance(table, dict) else table
+            {key: of_sweep(key, values) for key, values in table.items()}
+            if isinstance(table, dict)
+            else table
             for table in ([sweep] if isinstance(sweep, dict) else sweep)
         ]
     return found

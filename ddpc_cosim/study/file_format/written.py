@@ -2,18 +2,18 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.codec import write_in_short
+from ddpc_cosim.codec import write, write_in_short
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
-from ddpc_cosim.plugins import name_in_file, name_of
-from ddpc_cosim.settings import PLANT, is_plain, map_files, map_plants, to_plain
-from ddpc_cosim.signals import REFERENCES, Reference, WhiteNoise, by_kind
+from ddpc_cosim.plugins import name_of
+from ddpc_cosim.settings import Choice, Linear, is_plain, to_plain
+from ddpc_cosim.signals import REFERENCES, GaussianNoise, Reference, WhiteNoise, by_kind
+from ddpc_cosim.study.file_format.sections import search_table
 
 Table = dict[str, Any]
 """A table of a study file."""
@@ -31,13 +31,37 @@ def signal_table(what: str, signal: Reference) -> Table:
     if type(signal) not in known.values():
         names = ", ".join(kind.__name__ for kind in known.values())
         raise ConfigError(f"{what}: a study cannot write {signal!r}; it can: {names}")
-    return _signal(signal)
+    return write_in_short(signal)
 
 
-def _signal(signal: Any) -> Table:
-    """Return a signal, or what excites an input, as a file in any folder says it."""
-    table = write_in_short(signal)
-    return table | {"file": str(Path(table["file"]).resolve())} if "file" in table else table
+def plain(value: Any, what: str = "") -> Any:
+    """Return anything that a study says in Python as its file says it.
+
+    Parameters
+    ----------
+    value : object
+        A number, text, signal, search space or declared object, and lists and tables of these.
+    what : str
+        Whose signals a table has, with ``{}`` for their names.
+
+    Raises
+    ------
+    ConfigError
+        A signal of a class that study files do not know.
+    """
+    if isinstance(value, Reference):
+        return signal_table(what, value)
+    if isinstance(value, GaussianNoise):
+        return plain(value.standard_deviation)
+    if isinstance(value, Linear | Choice):
+        return search_table(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return write_in_short(value)
+    if isinstance(value, Mapping):
+        return {key: plain(item, what.format(key)) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, what) for item in value]
+    return write(value)
 
 
 def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
@@ -58,7 +82,7 @@ def experiment_table(excitation: Excitation, inputs: Sequence[str]) -> Table:
         )
     return {
         "samples": samples.pop(),
-        "excitation": {name: _signal(entries[name][1]) for name in inputs},
+        "excitation": {name: write_in_short(entries[name][1]) for name in inputs},
     }
 
 
@@ -104,9 +128,7 @@ def controller_table(controller: Controller) -> Table:
         raise ConfigError(faults)
     for own in _classes_in(controller):
         name_of("controllers", own)  # which keeps what a worker cannot import
-    plain = map_files(kind, changed, lambda path: path if path == PLANT else str(Path(path).resolve()))
-    plain = map_plants(kind, plain, lambda name: name_in_file(name, lambda file: Path(file).resolve()))
-    return {"type": name_of("controllers", kind), "settings": plain}
+    return {"type": name_of("controllers", kind), "settings": changed}
 
 
 def _default(kind: type[Any], setting: str) -> Any:

@@ -421,6 +421,12 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
             for key, kind in all_conditions().items()
             for name, value in section.effects.get(key, {}).items()
         ),
+        *(
+            Effect(f"{_plain(key)} of {_plain(name)}: {as_given(value)} (not installed here)")
+            for key in section.effects
+            if key not in all_conditions()
+            for name, value in section.effects[key].items()
+        ),
         *(Effect(f"{name}: {text}") for name, text in _others(section, said)),
         *([Effect(_recording_text(section.recording))] if section.recording else []),
     ]
