@@ -45,6 +45,7 @@ from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .plugins import study_folder as study_folder
 from .settings import (
+    SIGNAL as SIGNAL,
     Choice as Choice,
     Factor as Factor,
     Integer as Integer,
@@ -58,7 +59,6 @@ from .settings import (
     weight_matrix as weight_matrix,
 )
 from .signals import (
-    SIGNAL as SIGNAL,
     Constant as Constant,
     Drift as Drift,
     GaussianNoise as GaussianNoise,

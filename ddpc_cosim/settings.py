@@ -93,6 +93,10 @@ class Choice:
 Search = Linear | Choice
 
 
+SIGNAL = "signal"
+"""The unit of what is in the unit of the signal that it is about."""
+
+
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
     """What a setting is and which values it takes.
@@ -108,7 +112,7 @@ class SettingInfo:
     choices : tuple
         The values allowed, if they can be listed.
     unit : str
-        Unit, where there is one.
+        Unit, where there is one; ``"signal"`` is that of the signal that it is about.
     kind : type or None
         Class that a table in a study file makes an object of, where it does not name one.
     file : bool
@@ -151,6 +155,13 @@ class SettingInfo:
     key: str | None = ""
     required: bool = False
     written: Any = None
+
+    @property
+    def meaning(self) -> str:
+        """What it is, with its unit, in words."""
+        if self.unit == SIGNAL:
+            return f"{self.doc}, in the unit of the signal"
+        return f"{self.doc} [{self.unit}]" if self.unit else self.doc
 
     @property
     def allowed(self) -> str:

@@ -14,7 +14,7 @@ from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.settings import setting
+from ddpc_cosim.settings import SIGNAL, setting
 from ddpc_cosim.variables import FloatArray, Variable, converter
 
 # A sample time k*Ts can lie one rounding error before the instant it stands for.
@@ -90,8 +90,6 @@ def values_at(signal: Reference, what: str, time: FloatArray) -> FloatArray:
     return values
 
 
-SIGNAL = "of the signal"
-"""The unit of what is in the unit of the signal that it is about."""
 Numbers = Annotated[Sequence[float], Size(1)]
 """Numbers, at least one of them."""
 

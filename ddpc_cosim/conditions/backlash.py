@@ -3,8 +3,7 @@
 import numpy as np
 
 from ddpc_cosim.conditions.condition import Condition
-from ddpc_cosim.settings import SettingInfo
-from ddpc_cosim.signals import SIGNAL
+from ddpc_cosim.settings import SIGNAL, SettingInfo
 from ddpc_cosim.variables import FloatArray
 
 
@@ -18,7 +17,7 @@ class Backlash(Condition):
 
     places = ("actuator",)
     order = 10
-    value = SettingInfo("width of the play between each input and the plant, in its unit", low=0, unit=SIGNAL)
+    value = SettingInfo("width of the play between each input and the plant", low=0, unit=SIGNAL)
     words = "backlash of {name}, width {value}"
 
     def start(self, time: FloatArray, rest: FloatArray | None) -> None:

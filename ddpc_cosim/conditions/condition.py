@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import ClassVar, Literal, NamedTuple
 
-from ddpc_cosim.settings import SettingInfo
-from ddpc_cosim.signals import SIGNAL
+from ddpc_cosim.settings import SIGNAL, SettingInfo
 from ddpc_cosim.variables import FloatArray
 
 Place = Literal["actuator", "sensor"]
@@ -52,7 +51,7 @@ class Condition(ABC):
     order: ClassVar[float]
     """When it acts, of all in its place: the lower ones first. The noise of sensors is at 0."""
     value: ClassVar[SettingInfo]
-    """The number that is given for each signal: what it is, its range, and its unit (``SIGNAL``: its own)."""
+    """The number that is given for each signal: what it is, its range, its unit (``SIGNAL``: that of it)."""
     words: ClassVar[str]
     """What the report says of a signal, with ``{name}`` and ``{value}``."""
     neutral: ClassVar[float] = 0.0

@@ -20,7 +20,7 @@ class Delay(Condition):
 
     places = ("actuator", "sensor")
     order = -10
-    value = SettingInfo("by how much an input acts, or a measurement arrives, late [s]", low=0, unit="s")
+    value = SettingInfo("by how much an input acts, or a measurement arrives, late", low=0, unit="s")
     words = "delay of {name} {value}"
 
     def __init__(self, setup: ConditionSetup) -> None:

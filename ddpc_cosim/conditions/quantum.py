@@ -3,8 +3,7 @@
 import numpy as np
 
 from ddpc_cosim.conditions.condition import Condition, ConditionSetup
-from ddpc_cosim.settings import SettingInfo
-from ddpc_cosim.signals import SIGNAL
+from ddpc_cosim.settings import SIGNAL, SettingInfo
 from ddpc_cosim.variables import FloatArray
 
 
@@ -13,9 +12,7 @@ class Quantum(Condition):
 
     places = ("sensor",)
     order = 10
-    value = SettingInfo(
-        "what each measurement is rounded to integer multiples of, in its unit", above=0, unit=SIGNAL
-    )
+    value = SettingInfo("what each measurement is rounded to integer multiples of", above=0, unit=SIGNAL)
     words = "{name} rounded to multiples of {value}"
 
     def __init__(self, setup: ConditionSetup) -> None:

@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from ddpc_cosim.conditions.condition import Condition, ConditionSetup
-from ddpc_cosim.settings import SettingInfo
-from ddpc_cosim.signals import SIGNAL
+from ddpc_cosim.settings import SIGNAL, SettingInfo
 from ddpc_cosim.variables import FloatArray
 
 
@@ -15,7 +14,7 @@ class RateLimit(Condition):
 
     places = ("actuator",)
     order = -20
-    value = SettingInfo("largest rate of change of each input, in its unit per second", above=0, unit=SIGNAL)
+    value = SettingInfo("largest change of each input per second", above=0, unit=SIGNAL)
     words = "rate limit of {name} {value} per second"
     neutral = math.inf
 

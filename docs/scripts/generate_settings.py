@@ -32,8 +32,7 @@ def settings_table(plugin: type[Any]) -> str:
     fields = {field.name: field for field in dataclasses.fields(plugin)}
     rows = ["| setting | default | allowed | meaning |", "|---|---|---|---|"]
     for name, info in declared.items():
-        meaning = f"{info.doc} [{info.unit}]" if info.unit else info.doc
-        cells = (f"`{name}`", _default(fields[name]), info.allowed, meaning)
+        cells = (f"`{name}`", _default(fields[name]), info.allowed, info.meaning)
         rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
     return "\n".join(rows) + "\n"
 
@@ -46,9 +45,9 @@ def keys_table(kind: type[Any]) -> str:
     for key, field in declared_fields(kind).items():
         value = None if field.is_required else _short(field.default())
         default = "" if value in ({}, [], "", None, math.inf) else f"`{_toml(value)}`"
-        meaning = f"{field.info.doc} [{field.info.unit}]" if field.info.unit else field.info.doc
-        cells = (f"`{key}`", "required" if field.is_required else default, _allowed(field.hint, field.info))
-        rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in (*cells, meaning)) + " |")
+        needed = "required" if field.is_required else default
+        cells = (f"`{key}`", needed, _allowed(field.hint, field.info), field.info.meaning)
+        rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
     return "\n".join(rows) + "\n"
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -511,13 +512,20 @@ def test_backlash_comes_after_the_delay_and_before_the_disturbance() -> None:
 
 
 # A value of each kind that cannot go unnoticed.
-TOLD = {"rate_limit": 0.1, "delay": 2 * H, "backlash": 0.7, "quantum": 0.5, "loss": 0.6}
+EXAMPLES = {"rate_limit": 0.1, "delay": 2 * H, "backlash": 0.7, "quantum": 0.5, "loss": 0.6}
+BUILT_IN = [name for name, kind in all_conditions().items() if kind.__module__.startswith("ddpc_cosim.")]
 
 
-@pytest.mark.parametrize("name", all_conditions())
+def test_every_built_in_condition_has_an_example_and_a_row_in_the_docs() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "studies.md").read_text(encoding="utf-8")
+    assert EXAMPLES.keys() == set(BUILT_IN)
+    assert [name for name in BUILT_IN if f"\n| `{name}` | " not in page] == []
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_a_condition_is_applied_said_in_a_file_and_in_python_and_told(name: str) -> None:
-    """Of every kind that is installed: what one of them knows and another does not is found here."""
-    kind, value = all_conditions()[name], TOLD[name]
+    """What one of them knows and another does not is found here."""
+    kind, value = all_conditions()[name], EXAMPLES[name]
     signal = "a" if "actuator" in kind.places else "x"
     without, having = run(Conditions()), run(Conditions(**{name: {signal: value}}))
     changed = not np.array_equal(without.y, having.y) or not np.array_equal(

@@ -1,10 +1,12 @@
-"""A third party's condition: said in a file and in Python, applied in workers, told in the report."""
+"""The condition of the documentation: said in a file and in Python, applied in workers, told in the report."""
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,20 +15,10 @@ import pytest
 
 from ddpc_cosim import CosimWarning, load_results
 
-MODULE = """
-import numpy as np
-from ddpc_cosim import SIGNAL, Condition, SettingInfo
-
-class DeadBand(Condition):
-    "What is smaller than the band does not get through."
-    places = ("actuator",)
-    order = 5
-    value = SettingInfo("half the width of the band", low=0, unit=SIGNAL)
-    words = "dead band of {name}, up to {value}"
-
-    def apply(self, k, values):
-        return np.where(np.abs(values) < self.setup.values, 0.0, values)
-"""
+PAGE = (Path(__file__).parents[2] / "docs" / "extend" / "write-a-condition.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+MODULE = FILES["ddpc_dead_band.py"]
+ENTRY_POINTS = tomllib.loads(FILES["pyproject.toml"])["project"]["entry-points"]
 LOOP = """
 from dataclasses import dataclass
 import numpy as np
@@ -85,7 +77,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
     """A folder with a third party's package, and studies that use it."""
-    (tmp_path / "dead_bands.py").write_text(MODULE, encoding="utf-8")
+    (tmp_path / "ddpc_dead_band.py").write_text(MODULE, encoding="utf-8")
     (tmp_path / "lags.py").write_text(LOOP, encoding="utf-8")
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
@@ -93,7 +85,8 @@ def site(tmp_path: Path) -> Path:
     info.mkdir()
     metadata = "Metadata-Version: 2.1\nName: dead-bands\nVersion: 1.0\n"
     (info / "METADATA").write_text(metadata, encoding="utf-8")
-    entry = "[ddpc_cosim.conditions]\ndead_band = dead_bands:DeadBand\n"
+    ((name, target),) = ENTRY_POINTS["ddpc_cosim.conditions"].items()
+    entry = f"[ddpc_cosim.conditions]\n{name} = {target}\n"
     (info / "entry_points.txt").write_text(entry, encoding="utf-8")
     return tmp_path
 
@@ -118,10 +111,10 @@ def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(
     listed = run_program("list", "conditions").stdout
     assert "dead_band" in listed
     assert run_program("report", "out", "--format", "md", "--out", "report.md").returncode == 0
-    assert "dead band of u, up to 0.75 V" in (site / "report.md").read_text("utf-8").replace("\u00a0", " ")
+    assert "dead band of u, width 0.75 V" in (site / "report.md").read_text("utf-8").replace("\u00a0", " ")
 
-    module = site / "dead_bands.py"
-    module.write_text(MODULE.replace("0.0, values)", "0.1, values)"), encoding="utf-8")
+    module = site / "ddpc_dead_band.py"
+    module.write_text(MODULE.replace("/ 2, 0.0)", "/ 2, 0.1)"), encoding="utf-8")
     (free, _), (sticky, _) = run_script(site)[0]
     assert free == read[0][0]
     assert sticky != read[1][0], "what it does is part of what decides a result"
@@ -132,7 +125,8 @@ def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(
     trace = results.trace("p", scenario="sticky")
     assert results.study.scenarios["sticky"].effects == {"dead_band": {"u": 0.75}, "delay": {"u": 0.1}}
     commanded = np.concatenate([[0.0], trace.u[:-1, 0]])  # a sample late
-    np.testing.assert_allclose(trace.applied[:, 0], np.where(np.abs(commanded) < 0.75, 0.1, commanded))
+    expected = np.sign(commanded) * np.maximum(np.abs(commanded) - 0.375, 0.1)
+    np.testing.assert_allclose(trace.applied[:, 0], expected)
     assert (trace.applied[:, 0] == 0.1).any()
 
     done = run_program("report", "out", "--format", "md", "--out", "later.md")

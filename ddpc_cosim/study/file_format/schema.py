@@ -99,9 +99,7 @@ class _Schemas:
         fields = declared_fields(kind)
         properties: Schema = {KIND: {"const": kind.kind}} if hasattr(kind, KIND) else {}
         for key, one in fields.items():
-            unit = f" [{one.info.unit}]" if one.info.unit else ""
-            about = {"description": f"{one.info.doc}{unit}"}
-            properties[key] = about | self.of(one.hint, one.info, partial=partial)
+            properties[key] = {"description": one.info.meaning} | self.of(one.hint, one.info, partial=partial)
         return _table(properties, [] if partial else [key for key, one in fields.items() if one.is_required])
 
     def of(self, hint: Any, info: SettingInfo, *, partial: bool = False) -> Schema:

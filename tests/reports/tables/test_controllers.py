@@ -18,6 +18,7 @@ from ddpc_cosim.tables import Row, Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import (
+    RESPONSE,
     claims_table,
     reproduction_statements,
     reproduction_table,
@@ -91,6 +92,11 @@ def test_a_new_metric_needs_its_entry_in_the_registry_alone(
     with console.capture() as capture:
         console.print(summary_table(results, console))
     assert "highest value" in capture.get()
+
+
+def test_every_figure_of_the_step_response_that_reports_show_stands_in_its_table() -> None:
+    figures = {name for name, metric in METRICS.items() if metric.if_held and "report" in metric.shown}
+    assert figures | {"rmse"} == set(RESPONSE)
 
 
 @pytest.mark.parametrize(("better", "names"), [("low", ["quick"]), ("high", ["slow"]), ("", [])])
