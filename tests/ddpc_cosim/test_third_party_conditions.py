@@ -1,4 +1,4 @@
-"""The condition of the documentation: said in a file and in Python, applied in workers, told in the report."""
+"""The condition of the docs: said in a file and in Python, applied in workers, told in the report."""
 
 import json
 import os
@@ -52,7 +52,7 @@ loop = { sampling_time = 0.1, duration = 3.0 }
 reference.x = { kind = "constant", value = 1.0 }
 controllers.p = { type = "lags:Proportional", settings = { gain = 1.5 } }
 scenarios.free = {}
-scenarios.sticky = { dead_band = { u = 0.75 }, delay = { u = 0.1 } }
+scenarios.sticky = { dead_band = { u = 2.5 }, delay = { u = 0.1 } }
 """
 SCRIPT = """
 import json
@@ -60,7 +60,7 @@ from ddpc_cosim import Conditions, Constant, Problem, Scenario, Study
 from lags import Lag, Proportional
 
 def made():
-    conditions = Conditions(dead_band={"u": 0.75}, delay={"u": 0.1})
+    conditions = Conditions(dead_band={"u": 2.5}, delay={"u": 0.1})
     scenarios = {"free": Scenario(), "sticky": Scenario(conditions=conditions)}
     loop = dict(sampling_time=0.1, duration=3.0, reference={"x": Constant(1.0)})
     problem = Problem(plant=Lag, scenarios=scenarios, **loop)
@@ -111,7 +111,7 @@ def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(
     listed = run_program("list", "conditions").stdout
     assert "dead_band" in listed
     assert run_program("report", "out", "--format", "md", "--out", "report.md").returncode == 0
-    assert "dead band of u, width 0.75 V" in (site / "report.md").read_text("utf-8").replace("\u00a0", " ")
+    assert "dead band of u, width 2.5 V" in (site / "report.md").read_text("utf-8").replace("\u00a0", " ")
 
     module = site / "ddpc_dead_band.py"
     module.write_text(MODULE.replace("/ 2, 0.0)", "/ 2, 0.1)"), encoding="utf-8")
@@ -123,9 +123,9 @@ def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(
     with pytest.warns(CosimWarning, match="scenario sticky: the condition dead_band is not installed here"):
         results = load_results(site / "out")
     trace = results.trace("p", scenario="sticky")
-    assert results.study.scenarios["sticky"].effects == {"dead_band": {"u": 0.75}, "delay": {"u": 0.1}}
+    assert results.study.scenarios["sticky"].effects == {"dead_band": {"u": 2.5}, "delay": {"u": 0.1}}
     commanded = np.concatenate([[0.0], trace.u[:-1, 0]])  # a sample late
-    expected = np.sign(commanded) * np.maximum(np.abs(commanded) - 0.375, 0.1)
+    expected = np.sign(commanded) * np.maximum(np.abs(commanded) - 1.25, 0.1)
     np.testing.assert_allclose(trace.applied[:, 0], expected)
     assert (trace.applied[:, 0] == 0.1).any()
 
@@ -133,7 +133,7 @@ def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(
     assert done.returncode == 0
     assert "the condition dead_band is not installed here" in done.stderr
     page = (site / "later.md").read_text("utf-8").replace("\u00a0", " ").replace("\\", "")
-    assert "dead_band of u: 0.75 (not installed here)" in page
+    assert "dead_band of u: 2.5 (not installed here)" in page
     done = run_program("run", "study.toml", "--out", "again")
     assert done.returncode == 2
     assert "scenarios.sticky.dead_band: unknown key" in done.stderr
