@@ -88,8 +88,8 @@ class Inspection:
     @property
     def interfaces(self) -> tuple[Interface, ...]:
         """In which ways it can be run, the preferred one first."""
-        found = self.declared.interfaces
-        return tuple(found[kind] for kind in INTERFACES if kind in found)
+        interfaces = self.declared.interfaces
+        return tuple(interfaces[kind] for kind in INTERFACES if kind in interfaces)
 
     @property
     def clocks(self) -> dict[Clock, bool]:
