@@ -86,12 +86,12 @@ class KeptArithmetic:
 
     def put_back(self, before: Any) -> None:
         """Put back an unusual state, or the usual one for None, and say what has been changed."""
-        found, state = departures(), before or _USUAL
+        changes, state = departures(), before or _USUAL
         if state is not None and _FUNCTIONS is not None:
             _FUNCTIONS[1](state)
         now = departures()
-        if self.change or (found == now and before is not None):
+        if self.change or (changes == now and before is not None):
             return
-        left = f"this process now {found}" if found else "this process now rounds to the nearest number"
-        done = "it was put back, as it is after each call" if found != now else "it cannot be put back here"
+        left = f"this process now {changes}" if changes else "this process now rounds to the nearest number"
+        done = "it was put back, as it is after each call" if changes != now else "it cannot be put back here"
         self.change = f"its library changes how numbers are computed: {left}; {done}"

@@ -211,10 +211,10 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
             raise ExportError(str(error)) from error
         except LostWorkerError as error:
             reason = str(error)
-            if error.ending is None:
+            if error.exit_status is None:
                 reason = f"it did not end within {_LONGEST_SECONDS:g} s and was ended"
-            elif error.ending.excess:
-                reason = f"{error.ending.excess}, so it was ended"
+            elif error.exit_status.excess:
+                reason = f"{error.exit_status.excess}, so it was ended"
             raise ExportError(reason) from error
         finally:
             worker.end()

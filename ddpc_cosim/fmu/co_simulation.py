@@ -7,11 +7,11 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.instance import Instance, Slave
-from ddpc_cosim.fmu.run import Run, T
+from ddpc_cosim.fmu.run import FMURun, T
 from ddpc_cosim.variables import FloatArray
 
 
-class CoSimulationRun(Run):
+class CoSimulationRun(FMURun):
     """An initialised slave between two samples.
 
     Parameters

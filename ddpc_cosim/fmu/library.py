@@ -238,15 +238,17 @@ class BundledLibraries:
         if match is None or match["name"] in self._loaded:
             return False
         name = match["name"]
-        found = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
-        if found is None:
+        library = next(
+            (path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None
+        )
+        if library is None:
             raise MissingLibraryError(
                 f"its library needs {name}, which is neither in the FMU nor on this machine; install it, "
                 "or add its folder to LD_LIBRARY_PATH"
             ) from error
         while True:
             try:
-                self._loaded[name] = ctypes.CDLL(str(found))
+                self._loaded[name] = ctypes.CDLL(str(library))
                 return True
             except OSError as fault:  # it may need others in turn
                 if not self.supply(fault):
@@ -316,10 +318,10 @@ def find_library(
     folders = platform_folders(description.major)
     proper = f"{_BINARIES}/{folders[0]}/{name}{library_extension()}"
     for candidate in folders:
-        found = library_in(folder / _BINARIES / candidate, name, description.major)
-        if found is not None:
-            place = f"{_BINARIES}/{candidate}/{found.name}"
-            return found, () if place == proper else (f"the library is {place} instead of {proper}",)
+        library = library_in(folder / _BINARIES / candidate, name, description.major)
+        if library is not None:
+            place = f"{_BINARIES}/{candidate}/{library.name}"
+            return library, () if place == proper else (f"the library is {place} instead of {proper}",)
     if has_sources(folder):
         keep(compile_sources(folder, description, name, folder / proper, label, tell))
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)

@@ -20,7 +20,7 @@ class SavedState:
 
     Parameters
     ----------
-    run : Run
+    run : FMURun
         The run that it belongs to.
     handle : Any
         The FMU's own state.
@@ -28,7 +28,7 @@ class SavedState:
         What the run itself must remember.
     """
 
-    def __init__(self, run: "Run", handle: Any, bookkeeping: tuple[Any, ...]) -> None:
+    def __init__(self, run: "FMURun", handle: Any, bookkeeping: tuple[Any, ...]) -> None:
         self.run = weakref.ref(run)
         self.handle = handle
         self.bookkeeping = bookkeeping
@@ -74,7 +74,7 @@ class Ticks:
         return self._start + self._clocks[i].shift + self.counts[i] * self._clocks[i].interval
 
 
-class Run(ABC):
+class FMURun(ABC):
     """An initialised FMU between two samples.
 
     Time is computed from whole numbers of steps and never accumulated.

@@ -139,11 +139,11 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 def _outside(frame: FrameType | None) -> FrameType | None:
     """Return the frame in which the outermost finalizer was called; the given one if it is in none."""
-    outside, one = frame, frame
-    while one is not None:
-        if one.f_code.co_name == _FINALIZER or one.f_code.co_filename in _FINALIZING_FILES:
-            outside = one.f_back
-        one = one.f_back
+    outside, caller = frame, frame
+    while caller is not None:
+        if caller.f_code.co_name == _FINALIZER or caller.f_code.co_filename in _FINALIZING_FILES:
+            outside = caller.f_back
+        caller = caller.f_back
     return outside
 
 

@@ -93,10 +93,10 @@ def returns_arrays_of_the_right_shape(subject: PlantUnderTest) -> None:
 
 def _require_shape(what: str, y: object, outputs: int) -> None:
     if not isinstance(y, np.ndarray) or y.dtype != np.float64 or y.shape != (outputs,):
-        found = f"{type(y).__name__}"
+        returned = f"{type(y).__name__}"
         if isinstance(y, np.ndarray):
-            found = f"an array of {y.dtype}, shape {y.shape}"
-        raise CheckFailedError(f"{what} returned {found}; needed: an array of float64, shape ({outputs},)")
+            returned = f"an array of {y.dtype}, shape {y.shape}"
+        raise CheckFailedError(f"{what} returned {returned}; needed: an array of float64, shape ({outputs},)")
 
 
 def returns_finite_numbers(subject: PlantUnderTest) -> None:

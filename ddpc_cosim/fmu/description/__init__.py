@@ -10,7 +10,7 @@ from ddpc_cosim.description import (
     DefaultExperiment,
     DescribedVariable,
     PlantDescription,
-    Signal,
+    ScalarSignal,
     default_signals,
 )
 from ddpc_cosim.errors import ConfigError, FMUImportError
@@ -156,19 +156,19 @@ class FMUDescription(Declarations):
 
 
 def direct_dependencies(
-    description: FMUDescription, inputs: Sequence[Signal], outputs: Sequence[Signal]
+    description: FMUDescription, inputs: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal]
 ) -> dict[str, frozenset[str]]:
     """Return for outputs the inputs that they depend on directly: all, where the FMU does not say."""
-    found = {}
+    dependencies = {}
     for output in outputs:
         source = output.source
         known = description.dependencies.get(source.alias_of or source.name)
         on = [s for s in inputs if known is None or (s.source.alias_of or s.source.name) in known]
-        found[output.variable.name] = frozenset(signal.variable.name for signal in on)
-    return found
+        dependencies[output.variable.name] = frozenset(signal.variable.name for signal in on)
+    return dependencies
 
 
-def is_sampled(inputs: Sequence[Signal]) -> bool:
+def is_sampled(inputs: Sequence[ScalarSignal]) -> bool:
     """Return whether all inputs are discrete: those of a sampled block, such as an exported controller."""
     return bool(inputs) and all(signal.source.variability == "discrete" for signal in inputs)
 
