@@ -21,7 +21,7 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
-from ddpc_cosim.simulation.request import Prepared, Request, prepare
+from ddpc_cosim.simulation.request import Prepared, SimulationRequest, prepare
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
@@ -206,7 +206,7 @@ def simulate(
     ]
     if faults:
         raise ConfigError(faults)
-    request = Request(
+    request = SimulationRequest(
         plant=str(plant),
         inputs=None if inputs is None else _input_file(inputs),
         values=parameters or {},
