@@ -34,7 +34,7 @@ _OF_TRIMMED = 1.148
 
 
 @dataclass(frozen=True)
-class Signal:
+class SampledSignal:
     """A signal over the held samples.
 
     Parameters
@@ -56,7 +56,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Response(Signal):
+class Response(SampledSignal):
     """A controlled output over the held samples, and its reference, shape (K,).
 
     ``preview`` is that of :class:`ddpc_cosim.MetricSettings`, ``ahead`` how much of that the run's own
@@ -185,8 +185,10 @@ class EndWindow:
     @classmethod
     def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, settling: bool = False) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
-        own = error[rows]
-        return cls(len(own), abs(float(own.mean())), float(np.abs(own).mean()), step, settling)
+        in_window = error[rows]
+        return cls(
+            len(in_window), abs(float(in_window.mean())), float(np.abs(in_window).mean()), step, settling
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +322,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Actuation(Signal):
+class Actuation(SampledSignal):
     """An input over the held samples."""
 
     @cached_property
@@ -372,10 +374,17 @@ class WholeRun:
     def cost(self) -> float:
         """Return the sum over the samples of all weighted squares, each in the unit of its signal."""
         squares = {
-            "outputs": {one.variable.name: (one.reference - one.values) ** 2 for one in self.responses},
-            "inputs": {one.variable.name: (one.values - one.rest) ** 2 for one in self.actuations},
+            "outputs": {
+                response.variable.name: (response.reference - response.values) ** 2
+                for response in self.responses
+            },
+            "inputs": {
+                actuation.variable.name: (actuation.values - actuation.rest) ** 2
+                for actuation in self.actuations
+            },
             "changes": {
-                one.variable.name: np.diff(one.values, prepend=one.rest) ** 2 for one in self.actuations
+                actuation.variable.name: np.diff(actuation.values, prepend=actuation.rest) ** 2
+                for actuation in self.actuations
             },
         }
         return sum(

@@ -92,7 +92,9 @@ def toml_tables(text: str) -> dict[str, Any]:
     tables = tomllib.loads(text)
     level: list[Any] = [tables]
     for _ in range(DEEPEST):
-        entries = (entry for one in level for entry in (one.values() if isinstance(one, dict) else one))
+        entries = (
+            entry for table in level for entry in (table.values() if isinstance(table, dict) else table)
+        )
         level = [entry for entry in entries if isinstance(entry, dict | list)]
     if level:
         raise DeepTablesError

@@ -16,7 +16,7 @@ def exit_code(request: KeyboardInterrupt) -> int:
 
 
 @contextmanager
-def told_when_asked_to_end() -> Iterator[None]:
+def reporting_requests_to_end() -> Iterator[None]:
     """Exit with a message where a request to end is raised, or what it has led to."""
     try:
         yield

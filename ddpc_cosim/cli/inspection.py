@@ -153,18 +153,24 @@ def _system_sections(inspection: SystemInspection) -> Iterator[_Section]:
         (
             part.name,
             part.source,
-            f"FMI {one.description.fmi_version}" if one.description else "",
+            f"FMI {inspected.description.fmi_version}" if inspected.description else "",
             part.fmi_type
             if part.fmi_type != "auto"
-            else _joined(one.interfaces[0].kind for _ in one.interfaces[:1]),
+            else _joined(inspected.interfaces[0].kind for _ in inspected.interfaces[:1]),
             _joined(f"{name} = {value}" for name, value in {**part.start, **part.parameters}.items()),
         )
         for part in system.parts
-        if (one := inspection.parts.get(part.name)) is not None
+        if (inspected := inspection.parts.get(part.name)) is not None
     ]
     yield _Section("Parts", "part", ("name", "file", "fmi", "runs for", "values set"), parts)
     rows = [
-        (one.source, one.target, _units(one), _scale(one.factor, one.offset)) for one in system.connections
+        (
+            connection.source,
+            connection.target,
+            _units(connection),
+            _scale(connection.factor, connection.offset),
+        )
+        for connection in system.connections
     ]
     yield _Section("Connections", "connection", ("from", "to", "unit", "more"), rows)
     yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
