@@ -83,14 +83,14 @@ def _merged(*infos: Mapping[str, float]) -> dict[str, float]:
     return {name: value for info in infos for name, value in info.items()}
 
 
-def joined_knowledge(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+def joined_prior_information(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     """Return what several controllers go by, with their names where they differ; only facts that all tell."""
-    told = {}
+    common = {}
     for fact in sorted(set.intersection(*(set(facts) for facts in parts.values()))):
         words = {name: facts[fact] for name, facts in parts.items()}
         named = " and ".join(f"{text} ({name})" for name, text in words.items())
-        told[fact] = named if len(set(words.values())) > 1 else next(iter(words.values()))
-    return told
+        common[fact] = named if len(set(words.values())) > 1 else next(iter(words.values()))
+    return common
 
 
 def controller_faults(who: str, **given: object) -> list[str]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import prior_information
 from ddpc_cosim import (
     OK,
     Action,
@@ -148,12 +148,12 @@ class FMUController(Controller):
         if faults:
             raise ConfigError([f"{Path(self.file).name}: {fault}" for fault in faults])
         controls = [driving[variable.name] for variable in loop.inputs]
-        self._told = [name for name in self._outputs if name not in controls]
-        own = {**self._inputs, **self._outputs}
-        units = {n: v.unit for n, v in wanted.items() if v.unit and own[n].unit not in ("", v.unit)}
+        self._others_out = [name for name in self._outputs if name not in controls]
+        described = {**self._inputs, **self._outputs}
+        units = {n: v.unit for n, v in wanted.items() if v.unit and described[n].unit not in ("", v.unit)}
         self._how = {
             "inputs": list(self._inputs),
-            "outputs": [*controls, *self._told],
+            "outputs": [*controls, *self._others_out],
             "display_units": units,
         }
         with _errors_as(ControllerError):
@@ -181,17 +181,17 @@ class FMUController(Controller):
             raise ControllerError(str(error)) from error
         self._given.frombytes(inputs.tobytes())
         m = len(self._low)
-        u, told = outputs[:m], dict(zip(self._told, outputs[m:].tolist(), strict=True))
+        u, others = outputs[:m], dict(zip(self._others_out, outputs[m:].tolist(), strict=True))
         if self._converts:
             u = u * self._from[0] + self._from[1]
-        status = self._status_words(told.pop(self.status, 0.0))
+        status = self._status_words(others.pop(self.status, 0.0))
         held = np.minimum(np.maximum(u, self._low), self._high)
         if (held != u).any():
             if not np.isfinite(u).all():
                 raise ControllerError(f"{Path(self.file).name}: the control signal is {u.tolist()}")
             if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
                 status = _CLIPPED
-        return Action(held, status, {name: value for name, value in told.items() if isfinite(value)})
+        return Action(held, status, {name: value for name, value in others.items() if isfinite(value)})
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals that it is told; what else it knows, only an FMU from here says."""
@@ -202,7 +202,7 @@ class FMUController(Controller):
             made = (
                 f"what the recording was made on that it had learned from, of {recording['samples']} samples"
             )
-        return knowing(made, used)
+        return prior_information(made, used)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the FMU: what it has been given leads to where it is."""
