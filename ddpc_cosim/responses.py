@@ -308,7 +308,7 @@ class Stretch:
     @property
     def anticipation_samples(self) -> float:
         """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
-        # What leaves earlier than its controller knew of the step drifts.
+        # An output that leaves before its controller knew of the step drifts.
         start = max(self.first - max(self.response.ahead, 1), 0)
         path = self._path(start)[: self.first - start + 1]
         at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)

@@ -68,7 +68,7 @@ def alike(text: str) -> str:
 
 
 class DeepTablesError(ValueError):
-    """A TOML file has tables within tables beyond measure."""
+    """A TOML file has tables that are nested too deeply."""
 
     def __init__(self) -> None:
         super().__init__(f"tables within tables; allowed: {DEEPEST} levels")

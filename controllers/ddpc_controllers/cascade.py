@@ -170,7 +170,7 @@ class Cascade(Wrapper):
         return slopes
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         inner, outer = self.inner.knowledge(self._inner_loop(loop)), self.outer.knowledge(self._outer_loop)
         return joined_prior_information({"inner": inner, "outer": outer})
 

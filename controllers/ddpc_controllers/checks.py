@@ -28,7 +28,7 @@ def prior_information(plant: str, *signals: Sequence[Variable]) -> dict[str, str
     Parameters
     ----------
     plant : str
-        What a controller was told of the plant beforehand.
+        The prior information of a controller about the plant.
     *signals : sequence of Variable
         What it uses of outputs and measurements; one that is both is named once.
     """

@@ -125,7 +125,7 @@ class Decentralised(Wrapper):
         return code.step(body)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         parts = zip(self.groups, self._shares, strict=True)
         return joined_prior_information(
             {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}

@@ -217,7 +217,7 @@ class BehavioralTracking(ScaledSignals):
         return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return prior_information("nothing", loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
@@ -232,11 +232,11 @@ class BehavioralTracking(ScaledSignals):
     def _make_learner(
         self, problem: Problem, data: FloatArray, loop: Loop, recording: Recording
     ) -> Learner | None:
-        """Return what lets the data follow the plant, if anything does."""
+        """Return the online data that follow the plant, if any."""
         return None
 
     def _make_law(self, problem: Problem, data: FloatArray) -> Law:
-        """Return what solves the problem online."""
+        """Return the law that solves the problem online."""
         online = self._learner.data if self._learner else None
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
 

@@ -12,7 +12,7 @@ from ddpc_cosim import FloatArray, Loop, Sample
 
 @dataclass(kw_only=True)
 class Idle(Exportable):
-    """Inputs at rest, whatever is measured or asked for."""
+    """Inputs at rest, independent of measurements and references."""
 
     accepts_missing: ClassVar[bool] = True
 
@@ -25,7 +25,7 @@ class Idle(Exportable):
         return self._u.copy()
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return that it uses nothing."""
+        """Return that it uses no signals."""
         return prior_information("nothing")
 
     def c_step(self, code: Code, loop: Loop) -> str:

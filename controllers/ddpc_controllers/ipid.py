@@ -209,7 +209,7 @@ class IPID(Exportable):
         return code.step(f"{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return prior_information("a rough gain of the inputs, alpha", loop.outputs)
 
     def _observe(self, y: FloatArray) -> None:

@@ -360,7 +360,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         return skipped + memory_of(self.dictionary) + lifted + inputs + 1
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return prior_information(
             "nothing", loop.outputs, loop.measurements if self.state == "measured" else ()
         )

@@ -131,7 +131,7 @@ class ModelFreeAdaptive(ScaledSignals):
             self._model.resume(loop.recording.pieces[-1])
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         if not isinstance(self.initial_gradient, float | int):
             prior = "its gradient to begin with"
         else:

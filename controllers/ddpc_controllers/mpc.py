@@ -69,7 +69,7 @@ class Predictor:
 
     Attributes
     ----------
-    told : mapping of str to float
+    info : mapping of str to float
         What there is to say of the last solution.
 
     Raises

@@ -421,7 +421,7 @@ class PID(Exportable):
         return fewest_test_samples(inputs) if self.tuning == "step-test" else 0
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         prior = "nothing" if self.uses_recording else "gains, as they are set"
         return prior_information(prior, loop.outputs)
 

@@ -200,7 +200,7 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
 def _sizes(
     variables: tuple[Variable, ...], low: FloatArray, high: FloatArray, by: ScaleBy, faults: list[str]
 ) -> FloatArray:
-    """Return what each variable is measured by; add those that cannot be scaled to the faults."""
+    """Return the scale of each variable; add those that cannot be scaled to the faults."""
     nominal = np.array([abs(variable.nominal) for variable in variables])
     half = np.full(len(variables), np.inf)
     np.subtract(high / 2, low / 2, out=half, where=np.isfinite(low) & np.isfinite(high))

@@ -106,7 +106,7 @@ class SPSA(Exportable):
         self._u, self._bounds = self._rest.copy(), loop.bounds
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return prior_information("gains to begin with", loop.outputs)
 
     def step(self, sample: Sample) -> FloatArray | Action:

@@ -191,7 +191,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._parameters.append("z_ini", self._lift(self._states.append(state)))
 
     def _learn(self, learner: Learner, u: FloatArray, y: FloatArray, missing: bool) -> None:
-        """Learn a sample, unless what it holds stands in for a measurement, also as the past of its state."""
+        """Learn a sample, unless it, or the past of its state, has substitutes for missing measurements."""
         self._unlearned = self._memory + 1 if missing else max(self._unlearned - 1, 0)
         z = self._parameters.window("z_ini")[-1]
         learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
@@ -238,7 +238,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         return memory_of(self.dictionary) + least_samples(self.initial_length + self.horizon + order, inputs)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return prior_information("nothing", loop.outputs, loop.measurements)
 
     def diagnostics(self) -> Mapping[str, float]:

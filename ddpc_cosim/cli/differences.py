@@ -31,7 +31,7 @@ def compared(folders: tuple[Path, Path], absolute: float, relative: float) -> tu
 
 
 def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]:
-    """Return the cases by what they are, whatever settings or code they ran with.
+    """Return the cases by problem, controller, scenario and seed, whatever settings or code they ran with.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _metrics(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
 
 
 def _excess(values: FloatArray, other: FloatArray, absolute: float, relative: float) -> tuple[float, int]:
-    """Return the largest difference in parts of what is allowed, and where; what both lack agrees."""
+    """Return the largest difference relative to the allowed one, and where; values that both lack agree."""
     with np.errstate(invalid="ignore", divide="ignore"):
         sizes = np.maximum(np.abs(values), np.abs(other))
         allowed = np.maximum(absolute, relative * np.where(np.isfinite(sizes), sizes, 0.0))

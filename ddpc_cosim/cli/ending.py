@@ -11,7 +11,7 @@ _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
 def exit_code(request: KeyboardInterrupt) -> int:
-    """Return what a command exits with after a request to end."""
+    """Return the exit code of a command after a request to end."""
     return _TERMINATED if isinstance(request, Terminated) else _INTERRUPTED
 
 

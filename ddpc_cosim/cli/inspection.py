@@ -114,7 +114,7 @@ def _next_step(inspection: Inspected) -> str:
 
 
 def _facts(inspection: Inspected) -> Iterator[tuple[str, str]]:
-    """Yield what there is to say in one line each."""
+    """Yield the facts that take one line each."""
     if isinstance(inspection, SystemInspection):
         yield from _system_facts(inspection)
         return

@@ -101,7 +101,7 @@ class LineProgress:
         self._stream.flush()
 
     def __call__(self, what: str) -> None:
-        """Take note of what is being done now."""
+        """Note the current activity."""
         self._text = what
 
     def prepare(self, what: str) -> None:
@@ -223,7 +223,7 @@ class TerminalProgress:
 
 
 def display(text: str) -> LineProgress | TerminalProgress:
-    """Return what shows long work on stderr, at first what a text says."""
+    """Return a display of long work on stderr, with a text to begin with."""
     return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
 
 

@@ -197,7 +197,7 @@ def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int) -> Ta
 
 
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
-    """Return the columns of one scenario, those first that tell most."""
+    """Return the columns of one scenario, the most informative first."""
     ranked, step = headline(keys), _metric_column(_STEP)
     names = [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
@@ -208,7 +208,7 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
         if several
     ]
     columns, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
-    # Of several outputs the ranges would leave no room for anything else.
+    # With several outputs the ranges would leave no room for anything else.
     return [*columns, *spreads, *more] if len(ranked) == 1 else [*columns, *more, *spreads]
 
 
@@ -266,7 +266,7 @@ def _title(results: StudyResults) -> str:
 
 
 def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> list[str]:
-    """Return what is to be said below the table."""
+    """Return the lines below the table."""
     lines, ranking = [], findings.standings
     keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
     what = dict.fromkeys(

@@ -124,7 +124,7 @@ class Exchange:
             update.do(time)
 
     def set_inputs(self, u: FloatArray, time: float) -> None:
-        """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
+        """Set the system's inputs, shape (m,), at a time [s]; update what depends on them without delay."""
         driven = self._driven
         if len(u) != self._inputs:
             raise ConfigError(f"u has {len(u)} numbers; needed: {self._inputs}")
@@ -238,7 +238,7 @@ class Exchange:
             self._stamps[output_slice] = end
 
     def _updates(self, changed: Iterable[int]) -> list[OutputUpdate]:
-        """Return what brings everything up to date that depends on some values, as far as parts can."""
+        """Return the updates of everything that depends on some values, where parts can give outputs."""
         by_name = {part.name: part for part in self._parts}
 
         def update(evaluation: Evaluation) -> OutputUpdate:

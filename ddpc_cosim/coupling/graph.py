@@ -202,5 +202,5 @@ def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]])
 
 
 def _within(given: Mapping[Node, int], nodes: Iterable[Node]) -> list[Node]:
-    """Return those of the nodes that count, the last one first: components are found from the end."""
+    """Return the given nodes among these, the last one first: components are found from the end."""
     return sorted((node for node in nodes if node in given), key=given.__getitem__, reverse=True)

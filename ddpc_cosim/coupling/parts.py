@@ -64,7 +64,7 @@ class Part:
         return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
 
     def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:
-        """Return those of the outputs by the values that are taken, shape (p, m); None: not known."""
+        """Return the derivatives of outputs by the values that are taken, shape (p, m); None: not known."""
         try:
             derivatives = feedthrough_of_plant(self.plant, self.factor * taken + self.offset, time)
         except CosimError as error:

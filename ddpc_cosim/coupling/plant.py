@@ -399,7 +399,7 @@ class CoupledPlant(Plant):
 
 
 def _whole(long: float, short: float) -> int | None:
-    """Return how many short times make a long one, None if that is not a whole number."""
+    """Return how many short times make a long one, None if the ratio is not an integer."""
     ratio = long / short
     number = round(ratio)
     return number if number >= 1 and abs(ratio - number) <= _WHOLE * number else None

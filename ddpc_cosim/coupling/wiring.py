@@ -74,7 +74,7 @@ class AffineMap(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether it is more than a choice of values."""
+        """Whether values are scaled or shifted, not only selected."""
         return bool((self.factor != 1.0).any() or self.offset.any())
 
 
@@ -212,7 +212,7 @@ class Wiring:
 
     @staticmethod
     def _as_other_end(end: str, other: Mapping[str, Variable] | None) -> dict[str, Variable]:
-        """Return a connector that is not declared: as what it is connected with."""
+        """Return a connector that is not declared, with the properties of the other end."""
         return {place: replace(v, name=end + place) for place, v in (other or {}).items()}
 
     def _link(self, connection: Connection, source: str, known: Variable, target: str, fed: Variable) -> None:
@@ -288,7 +288,9 @@ class Wiring:
             elements = arrays.get(name, {})
             if not elements:
                 fed = self._links.get(name)
-                why = f'follows "{fed.source}"' if fed and what == "input" else f"is no {what} of the system"
+                why = f"is no {what} of the system"
+                if fed and what == "input":
+                    why = f'follows "{fed.source}"'
                 self._faults.append(f'{what} "{name}" {why}; {did_you_mean(name, known)}')
             for place in elements:
                 if name + place in chosen:

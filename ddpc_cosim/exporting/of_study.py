@@ -120,7 +120,7 @@ def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = F
 
 
 def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: int) -> ResolvedStudy:
-    """Return the study that is left when a case is all that is run."""
+    """Return the study reduced to one case."""
     study = resolved.study
     parts: dict[str, Any] = {
         "seeds": [seed],

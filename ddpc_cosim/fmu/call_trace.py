@@ -59,7 +59,7 @@ class TracedFunction:
         return returned
 
     def _is_result(self, name: str, value: Any) -> bool:
-        """Whether the function fills an argument; what it is called with says nothing."""
+        """Whether the function fills an argument; then its value before the call is meaningless."""
         if isinstance(value, _POINTER):
             return not isinstance(value._obj, ctypes.Structure) or "Instantiate" not in self._name
         is_vector = isinstance(value, ctypes.Array) and "Get" in self._name
@@ -72,7 +72,7 @@ class TracedFunction:
 
 
 def _array(value: Any, following: Sequence[Any]) -> Any:
-    """Return what a pointer points to as an array, whose length is the argument behind it."""
+    """Return the array that a pointer points to; its length is the argument behind it."""
     if isinstance(value, ctypes._Pointer) and value and following and isinstance(following[0], int):
         return (value._type_ * following[0]).from_address(ctypes.addressof(value.contents))
     return value

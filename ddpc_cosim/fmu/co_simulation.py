@@ -171,7 +171,7 @@ class StepSizes:
         return steps
 
     def remark(self, h: float) -> str:
-        """Return what is to be said of a sampling time [s]; empty for nothing.
+        """Return a warning about a sampling time [s]; empty for none.
 
         Steps *should* be multiples of a fixed internal step (FMI 3.0 section 4.4.1): whether others are
         possible, the FMU decides.

@@ -92,7 +92,7 @@ class Fmi2Slave(_Fmi2, Slave):
             raise failed_call("fmi2DoStep", status)
 
     def _status(self, kind: str, what: int, answer: Any) -> Any:
-        """Return what the FMU says of a step that was discarded; None where it says nothing."""
+        """Return a status of a discarded step from the FMU; None where it gives none."""
         try:
             self.call(f"fmi2Get{kind}Status", what, ctypes.byref(answer))
         except CallError:

@@ -145,7 +145,7 @@ class Fmi3Slave(_Fmi3, Slave):
                 self.do_step(time + h - remaining, remaining)
 
     def _follow_up(self, time: float, h: float) -> float:
-        """Do what the FMU wants after a step; return how much of the step is left [s]."""
+        """Handle what the FMU asks for after a step; return how much of the step is left [s]."""
         early, reached = self._early.value, self._reached.value
         if self._terminate.value:
             raise termination("fmi3DoStep", reached if early else time + h)

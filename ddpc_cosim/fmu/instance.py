@@ -321,7 +321,7 @@ class Model(Instance):
         self.call(self.functions.get_derivatives, dx, n)
 
     def get_nominals(self, x: DoubleArray, n: int) -> None:
-        """Read the nominal values of the continuous states; zeros where the FMU does not tell."""
+        """Read the nominal values of the continuous states; zeros where the FMU does not say."""
         try:
             self.call(self.functions.get_nominals, x, n)
         except CallError as error:

@@ -38,7 +38,7 @@ T = TypeVar("T")
 Arguments = TypeVarTuple("Arguments")
 _STEP = -1  # where a message has its length
 _LONGEST_REMARK = 300
-# What NumPy and zipfile would import when they are first used there.
+# NumPy and zipfile would import these when they are first used there.
 _PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
 
 
@@ -189,7 +189,7 @@ class IsolatedSession:
         return result
 
     def _read(self, method: str, answer: Any) -> Any:
-        """Return the result of a method, which is what it has to be; ValueError: it is not."""
+        """Return the result of a method, checked for type and shape; ValueError: it does not fit."""
         if method == "linearise":
             texts = {name: tuple(map(str, answer[name])) for name in ("states", "warnings")}
             return LinearModel(**{**answer, **texts})
@@ -233,7 +233,7 @@ class _SavedState:
 
 
 def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
-    """Do in a worker what an :class:`IsolatedSession` asks for, until it is gone."""
+    """Serve the requests of an :class:`IsolatedSession` in a worker, until that is gone."""
     session = _Service(fmu)
     request, answer = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
     answer.mark[0] = _STEP

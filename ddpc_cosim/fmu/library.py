@@ -343,20 +343,20 @@ def compile_ahead(path: Path, tell: Callable[[str], object] = _say_nothing) -> l
     tell : callable, optional
         Called with a line before each is compiled.
     """
-    kept = list[Path]()
+    cached_folders = list[Path]()
     with suppress(CosimError, OSError, zipfile.BadZipFile):
         with zipfile.ZipFile(path) as archive:
             folders = {name.rpartition("/")[0] for name in archive.namelist()}
         ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
         if ready or not any(folder.split("/")[0] == "sources" for folder in folders):
-            return kept
+            return cached_folders
         with ScratchFolder() as folder:
             unpack(path, folder)
             description = read_description(folder, path.name)
             for interface in description.interfaces.values():
                 with suppress(FMUImportError):  # another one may do
-                    find_library(folder, description, interface, path.name, tell, kept.append)
-    return kept
+                    find_library(folder, description, interface, path.name, tell, cached_folders.append)
+    return cached_folders
 
 
 def platforms(folder: Path) -> list[str]:
@@ -385,7 +385,7 @@ def library_in(folder: Path, name: str, major: int) -> Path | None:
 
 
 def _has_functions(library: Path, major: int) -> bool:
-    """Whether a library exports what an FMU's has to, whatever the prefix."""
+    """Whether a library exports the functions that an FMU's must have, whatever the prefix."""
     from fmu_plants.export.binaries import exported_symbols
 
     name = "fmiInstantiate" if major == 1 else f"fmi{major}Instantiate"

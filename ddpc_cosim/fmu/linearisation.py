@@ -39,7 +39,7 @@ class LinearModel:
     rate : array, shape (n,)
         Derivatives of the states there [per s]; zero at an equilibrium.
     states : tuple of str
-        Names of the states; empty where the FMU does not tell.
+        Names of the states; empty where the FMU does not say.
     derivatives : str
         Where A and B come from: ``"directional"`` derivatives of the FMU, or ``"differences"``.
     warnings : tuple of str

@@ -40,7 +40,7 @@ _ONE_INSTANT = 1e-9
 
 
 class Ticks:
-    """The ticks of periodic clocks: at whole numbers of intervals, computed and never accumulated.
+    """The ticks of periodic clocks: at integer multiples of the interval, computed and never accumulated.
 
     A tick at the instant of a sample comes after the outputs of that sample have been read, together with its
     inputs: the FMU then takes these up at once.

@@ -48,7 +48,7 @@ Arguments = TypeVarTuple("Arguments")
 _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
-# Between these an integrator of Model Exchange does what it is told.
+# Between these limits an integrator of Model Exchange meets its tolerance.
 _TOLERANCES = (1e-12, 1e-2)
 _ONE_INSTANT = 1e-6  # of a step: where an FMU says that it ended, rounded in its own way
 
@@ -58,7 +58,7 @@ _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary
 
 @dataclass(frozen=True, slots=True)
 class UnpackedFMU:
-    """An FMU in a folder, described; nothing of its library has run.
+    """An FMU in a folder, described; its library has not run.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class UnpackedFMU:
         return len(self.description.interfaces) > 1
 
     def remark_on_steps(self, sampling_time: float) -> str:
-        """Return what is to be said of a sampling time [s]; empty for nothing.
+        """Return a warning about a sampling time [s]; empty for none.
 
         Raises
         ------

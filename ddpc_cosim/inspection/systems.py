@@ -60,7 +60,7 @@ class SystemInspection:
 
     @property
     def can_run(self) -> bool:
-        """Whether nothing is known that would prevent running it here."""
+        """Whether it can run here, as far as is known."""
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
 
@@ -96,7 +96,7 @@ def inspect_ssp(path: Path) -> SystemInspection:
 
 
 def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
-    """Return what is known of each part; what is wrong with it is noted with its name."""
+    """Return the description of each part; its faults are noted with its name."""
     known: dict[str, Inspection] = {}
     by_file: dict[str, Inspection] = {}
     for part in system.parts:

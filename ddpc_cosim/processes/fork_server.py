@@ -252,7 +252,7 @@ class Server:
         self._selector.register(self._control, selectors.EVENT_READ)
 
     def serve(self) -> NoReturn:
-        """Answer requests until whoever asks is gone; end what is left then."""
+        """Answer requests until the client is gone; then end what is left."""
         try:
             while True:
                 limited = any(child.memory for child in self._workers.values())

@@ -20,7 +20,7 @@ _IS_LOOKED_AT = sys.platform == "linux"
 
 
 def excess_of(pid: int, memory: int) -> str:
-    """Return in words what a process and its descendants have too much of; empty: nothing."""
+    """Return in words which limit a process and its descendants exceed; empty: none."""
     everyone = [pid]
     for member in everyone:  # which grows
         everyone += children(member) if len(everyone) <= _MOST_TASKS else ()
@@ -32,7 +32,7 @@ def excess_of(pid: int, memory: int) -> str:
 
 
 def limit_tasks() -> None:
-    """Let this process, and what it will start, not go far beyond the tasks that there are now.
+    """Limit the tasks of this process, and of those that it will start, to few more than there are now.
 
     This gives whoever enforces the limit the time to do so. The kernel counts all tasks of the user, so that
     it has to be generous; and root's not at all.

@@ -141,7 +141,7 @@ def demanded(wanted: bool) -> Iterator[None]:
 
 
 def is_demanded() -> bool:
-    """Whether what would be run of a stranger's has to be in a sandbox."""
+    """Whether code of others must run in a sandbox."""
     return _demanded.get()
 
 
@@ -204,7 +204,7 @@ def enter(sandbox: Sandbox, *, apart: bool) -> None:
 
 
 def _readable(sandbox: Sandbox) -> list[Path]:
-    """Return what may be read: nothing that holds the home folder, or by import path temporary files."""
+    """Return the readable folders: none that contains the home folder, or by import path temporary files."""
     home, temporary = Path.home().resolve(), Path(tempfile.gettempdir()).resolve()
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
     installed = [place for place in places if not temporary.is_relative_to(place)]

@@ -48,7 +48,7 @@ class Spawned:
                 pipe.write(connection.share(self._process.pid))
 
     def _collect(self) -> None:
-        """Read what is printed, as nothing goes on where it is not read, and keep the end of it."""
+        """Read what is printed, because a full pipe would block the process, and keep the end of it."""
         assert self._process.stdout is not None
         with self._process.stdout as pipe:
             while chunk := pipe.read(_CHUNK):

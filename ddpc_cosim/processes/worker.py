@@ -1,4 +1,4 @@
-"""The one kind of process for whatever may crash or hang: the cases of a study, isolated FMUs, checks.
+"""The one kind of process for code that may crash or hang: the cases of a study, isolated FMUs, checks.
 
 A worker protects against faults; against malice only in a sandbox: else it has the user's rights.
 

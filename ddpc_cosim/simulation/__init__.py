@@ -235,7 +235,7 @@ def _are_signals(inputs: object) -> bool:
 
 
 def _are_names(outputs: Any) -> bool:
-    """Whether something is a list of names, or nothing; a text is not one of letters."""
+    """Whether something is a list of names, or None; a text does not count as a list of letters."""
     is_list = isinstance(outputs, Iterable) and not isinstance(outputs, str)
     return outputs is None or (is_list and all(isinstance(name, str) for name in outputs))
 

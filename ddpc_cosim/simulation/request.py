@@ -1,4 +1,4 @@
-"""What a simulation is asked for: checked, all faults at once, and what is chosen where nothing is said."""
+"""What a simulation is asked for: checked, all faults at once, and completed by defaults."""
 
 import math
 import re
@@ -59,10 +59,10 @@ class Prepared(NamedTuple):
 
 
 class _Faults(list[str]):
-    """Faults of a request, collected so that all are told at once."""
+    """Faults of a request, collected so that all are reported at once."""
 
     def collect(self, check: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a check returns; None where it finds faults, which are kept."""
+        """Return the result of a check; None where it finds faults, which are collected."""
         try:
             return check(*arguments)
         except (ConfigError, DataError) as error:
@@ -88,7 +88,7 @@ class _Subject:
     def readable(
         self, wanted: Sequence[str] | None, golden: CSVFile | None
     ) -> tuple[list[Variable], list[str]]:
-        """Return what is recorded, and what there is to say of the choice.
+        """Return the recorded variables, and remarks on the choice.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class _FMUSubject(_Subject):
     def readable(
         self, wanted: Sequence[str] | None, golden: CSVFile | None
     ) -> tuple[list[Variable], list[str]]:
-        """Return what is recorded, and what there is to say of the choice; errors as of any plant."""
+        """Return the recorded variables, and remarks on the choice; errors as of any plant."""
         notes = list[str]()
         if wanted is None:
             chosen, notes = self._default_outputs()

@@ -59,7 +59,7 @@ class PlantUnderTest:
         return np.array(rows)
 
     def reset(self, plant: Plant, share: float = 1.0) -> FloatArray:
-        """Tell the plant what is coming, steps of a share of the sampling time, and reset it."""
+        """Plan steps of a fraction of the sampling time for the plant, and reset it."""
         plant.plan(share * self.sampling_time, self.steps * self.sampling_time)
         return plant.reset()
 

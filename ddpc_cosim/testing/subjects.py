@@ -160,7 +160,7 @@ def _parse(settings: Sequence[str]) -> dict[str, Any]:
         return toml_tables("\n".join(settings))
     except DeepTablesError as error:
         raise ConfigError(f"--setting: {error}") from error
-    except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+    except (ValueError, RecursionError) as error:  # too long numbers and too deep nesting are not TOML errors
         raise ConfigError(f"--setting: not TOML: {error}; write text in quotes: 'name = \"text\"'") from error
 
 

@@ -25,7 +25,7 @@ _NEGLIGIBLE = 1e-10
 
 
 class Judgement(NamedTuple):
-    """What a method has to say of its recording.
+    """What a method reports about its recording.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
             f"{kind.__name__} cannot be exported within another controller: it is not of ddpc_controllers"
         )
     if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
-        # What its class changes, the code of the class that it comes from does not know.
+        # The base class's code does not know what a subclass changes.
         raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
     return controller.c_step(code, loop)
 

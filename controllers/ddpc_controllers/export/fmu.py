@@ -168,7 +168,7 @@ class FMUController(Controller):
         self._low, self._high = loop.bounds.u_min, loop.bounds.u_max
 
     def step(self, sample: Sample) -> Action:
-        """Return what the FMU's outputs are after a step with this sample's inputs, shape (m,)."""
+        """Return the FMU's outputs after a step with this sample's inputs, shape (m,)."""
         parts = (sample.y, sample.measured[self._others], sample.setpoint, sample.reference.ravel())
         inputs = np.concatenate((*parts, self._constants))[self._places]
         if self._converts:
@@ -194,7 +194,7 @@ class FMUController(Controller):
         return Action(held, status, {name: value for name, value in others.items() if isfinite(value)})
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals that it is told; what else it knows, only an FMU from here says."""
+        """Return the signals that it gets; only an FMU exported from here says what else it knows."""
         named = {self._signal_of(name) for name in self._inputs}
         used = [v for v in (*loop.outputs, *loop.measurements) if v.name in named]
         made = f"what its FMU was made with ({printable(self._tool)})"
@@ -249,7 +249,7 @@ class FMUController(Controller):
             )
 
     def _status_words(self, value: float) -> str:
-        """Return what a status says, a sum of bits where the FMU explains them."""
+        """Return a status in words: of a sum of bits, where the FMU explains them."""
         if value == 0.0:
             return OK
         bits = int(value) if value.is_integer() and value > 0 else 0
@@ -277,7 +277,7 @@ def _scales(variables: Sequence[Variable], units: Mapping[str, str]) -> Any:
 
 
 def _resource_of(file: str) -> dict[str, Any]:
-    """Return what an FMU that was exported from here says of itself; nothing of another one."""
+    """Return the metadata of an FMU that was exported from here; nothing of another one."""
     with suppress(KeyError, ValueError), zipfile.ZipFile(file) as archive:
         content = json.loads(archive.read(_RESOURCE))
         return content if isinstance(content, dict) else {}

@@ -219,7 +219,7 @@ class ModelBased(ScaledSignals):
         return self.model.recording_length(inputs, outputs)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         model = self.model
         if isinstance(model, Identified):
             return prior_information("nothing", loop.outputs)
@@ -259,7 +259,7 @@ class ModelBased(ScaledSignals):
         return {**self._model.fit, **self._judgement.diagnostics}
 
     def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording or the model."""
+        """Return warnings about the recording or the model."""
         return [*super().warnings(), *self._model.warnings]
 
     def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:

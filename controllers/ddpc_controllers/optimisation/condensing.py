@@ -2,7 +2,7 @@
 
 With a rank-revealing factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data rows are
 ``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full
-row rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
+row rank (noise-free, lifted) are not a special case. What remains is, p being the parameters,
 
     minimise |G z - T p|^2 + |v - v_s|_W^2 + |v_s|_U^2   subject to   E z = E_p p,   lower <= C z <= upper,
 

@@ -249,7 +249,7 @@ class ChangeLimits:
             t, active_rows, failure = self._backend.solve(excess)
             active = np.zeros(len(sides), dtype=bool)
             active[np.flatnonzero(sides)[list(active_rows)]] = True
-            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
             optimum = self._exact(hessian, slope, low, high, *np.split(active, 2))
             if optimum is None and failure:
                 kinds = [
@@ -312,6 +312,6 @@ def _at_corner(gain: FloatArray, excess: FloatArray, active: list[int], t: Float
 
 
 def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return what a change of each input is measured by: its range, else its rate, else its unit."""
+    """Return the scale of a change of each input: its range, else its rate, else its unit."""
     of_rates = np.where(np.isfinite(rates), rates, 1.0)
     return np.where(np.isfinite(ranges) & (ranges > 0.0), ranges, of_rates)

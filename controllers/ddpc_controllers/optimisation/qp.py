@@ -118,7 +118,7 @@ class StepInfo(Mapping[str, float]):
     work_out : callable
         Returns the values by name.
     given : tuple
-        Its arguments, which nobody changes any more.
+        Its arguments, which are not changed any more.
     """
 
     __slots__ = ("_given", "_work_out")
@@ -163,7 +163,7 @@ def _solution_info(solution: Solution, rest: int, gain: FloatArray, *ends: Any) 
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
-    """Return what the predicted outputs at the end of the horizon are called."""
+    """Return the names of the predicted outputs at the end of the horizon."""
     return tuple(f"predicted_end.{output.name}" for output in outputs)
 
 
@@ -388,7 +388,7 @@ class ParametricQP(_BoundedLaw):
     def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> Correction | None:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         t, active, failure = self._backend.solve(excess)
-        # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
+        # Whatever the solver reports: a law that satisfies the optimality conditions is the optimum.
         for candidate in (active, least_distance(self._gain, excess - FEASIBLE) if failure else ()):
             if candidate and self._apply(candidate, excess, u):
                 self._active = candidate
@@ -404,7 +404,7 @@ class ParametricQP(_BoundedLaw):
 def make_law(
     problem: Problem, data: FloatArray, limits: InputLimits, backend: Backend, online: OnlineData | None
 ) -> Law:
-    """Return what solves a problem on recorded data M, or on those that follow the plant.
+    """Return the law that solves a problem on recorded data M, or on data that follow the plant.
 
     Raises
     ------
@@ -512,7 +512,7 @@ class AdaptiveQP(_BoundedLaw):
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain, no_gain])
         self._rest = len(self._gains) - 1
         self._curvature = reduced.residual.T @ reduced.residual
-        # What g costs, side by side: one triangular solution serves all of it.
+        # The costs of g, side by side: one triangular solution serves them all.
         self._roots = np.sqrt(
             np.hstack(
                 [np.tile(coordinates.weights[:, np.newaxis], size + 1) for coordinates in reduced.coordinates]
@@ -571,7 +571,7 @@ class AdaptiveQP(_BoundedLaw):
         if t is None:
             self._backend.load(gain)
             t, active, failure = self._backend.solve(excess)
-            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active)
             if failure and exact is None:
                 return None

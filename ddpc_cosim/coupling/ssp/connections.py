@@ -104,7 +104,7 @@ class Connections:
         return written.unit if written is not None and written.unit.name else usual
 
     def _check_units(self, component: Component) -> None:
-        """Note the connectors that are in another unit than their variables in the FMU: which one holds."""
+        """Note connectors that are in other units than their variables in the FMU: either may be wrong."""
         for name, connector in component.connectors.items():
             variable = self._variable(component, name)
             unit = component.document.unit(variable.variable.unit if variable else "")
@@ -120,7 +120,7 @@ class Connections:
                 self._reader.faults.append(f"{where} {units}; make them the same")
 
     def links(self) -> Iterator[Link]:
-        """Yield what every connected input of a component, and every outer output, comes from."""
+        """Yield the source of every connected input of a component, and of every outer output."""
         for node in self.into:
             component = self.components.get(node.element)
             variable = None if component is None else self._variable(component, node.name)
@@ -280,7 +280,7 @@ def _direction(start: End, end: End) -> bool | None:
 
 
 def _elements(shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield how the elements of an array are written behind its name; of a scalar nothing."""
+    """Yield the suffixes of the names of an array's elements; none for a scalar."""
     if not shape:
         yield ""
         return

@@ -118,7 +118,7 @@ class Document:
         return units
 
     def unit(self, name: str | None) -> Unit:
-        """Return a unit of this file by name: as it defines it, else as it is usual."""
+        """Return a unit by name: as this file defines it, else its usual meaning."""
         name = (name or "").strip(" []")  # some tools write [m]
         try:
             return Unit(name, self._units.get(name) or parse_unit(name))
@@ -208,7 +208,7 @@ class System:
 
 
 class Reader:
-    """Reads an archive and all that it holds.
+    """Reads an archive and all its content.
 
     Parameters
     ----------

@@ -228,7 +228,7 @@ class Parameters:
     def _document(
         self, binding: Binding, element: Element, inline: str, root: str, label: str
     ) -> Document | None:
-        """Return what an element names as its source, or holds itself."""
+        """Return the document that an element names as its source, or contains."""
         source, of = element.get("source"), binding.document
         if not source:
             written = element.find(inline)

@@ -81,7 +81,7 @@ class Clock:
     def is_periodic_input(self) -> bool:
         """Whether it ticks by what the description says, and from outside."""
         is_known = 0.0 < self.interval < math.inf and 0.0 <= self.shift < math.inf
-        is_constant = self.variability in ("constant", "fixed", "tunable")  # nobody changes the latter here
+        is_constant = self.variability in ("constant", "fixed", "tunable")  # the latter are not changed here
         return self.causality == "input" and is_constant and is_known
 
 
@@ -195,12 +195,12 @@ def choose_interface(description: FMUDescription, fmi_type: str, label: str) -> 
 
 
 def describe_plant(description: FMUDescription, label: str, fmi_type: str) -> PlantDescription:
-    """Return what an FMU that is run in a way is as a plant; errors as of :func:`choose_interface`."""
+    """Return the description of an FMU as a plant; errors as of :func:`choose_interface`."""
     interface = choose_interface(description, fmi_type, label)
     settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
     given = [*description.signals("parameter", "input")]
     inputs = {s.variable.name: s.variable for s in given if s.source.causality == "input"}
-    # However it is run: it is what its author counts in.
+    # However it is run: this is its author's time unit.
     fixed = (offered.fixed_step for offered in description.interfaces.values() if offered.fixed_step)
     return PlantDescription(
         inputs=inputs,

@@ -58,7 +58,7 @@ def read_description(folder: Path, label: str) -> FMUDescription:
 
 @contextmanager
 def _collecting_later() -> Iterator[None]:
-    """Keep the collector from looking at a description again and again while it grows: nothing of it goes."""
+    """Pause the garbage collector while a description grows: none of it can be freed."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -354,7 +354,7 @@ class _Reading:
         return structure
 
     def _name(self, written: str) -> str | None:
-        """Return the name of a variable by what the model structure calls it."""
+        """Return the name of a variable by its identifier in the model structure."""
         name = self.targets.get(integer(written))
         return name if name in self.variables else None
 

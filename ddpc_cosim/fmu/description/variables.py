@@ -42,7 +42,7 @@ _FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
 _LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
-_MOST_DIGITS = 20  # more are no reference or size, and take long
+_MOST_DIGITS = 20  # more are not a reference or size, and take long
 _INTEGER = re.compile(rf"\s*[+-]?\d{{1,{_MOST_DIGITS}}}\s*")
 _AS_GOOD_AS_INFINITE = 1e30
 _TEXTS_KEPT = 10_000
