@@ -98,10 +98,7 @@ class Recording:
         """
         if not recordings:
             raise DataError("recordings: there are none to join")
-        shapes = {
-            (recording.u.shape[1], recording.y.shape[1], recording.measured.shape[1])
-            for recording in recordings
-        }
+        shapes = {(part.u.shape[1], part.y.shape[1], part.measured.shape[1]) for part in recordings}
         if len(shapes) > 1:
             numbers = ", ".join(map(str, sorted(shapes)))
             raise DataError(f"recordings: different numbers of (inputs, outputs, measurements): {numbers}")

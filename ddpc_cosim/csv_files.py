@@ -189,9 +189,8 @@ def read_table(
         faults.append(f"{path}: a header and no rows; needed: one row per sample")
     time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
     located = dict(_locate(file, columns, faults))
-    timed = dict(_locate(file, [Column(_TIME, time_column)] if time_column else [], faults, _TIME_HINT)).get(
-        0
-    )
+    of_time = [Column(_TIME, time_column)] if time_column else []
+    timed = dict(_locate(file, of_time, faults, _TIME_HINT)).get(0)
     faults += file.faults
     dates = _dates(file, timed[0], faults) if timed else None
     numeric = [index for index, _ in located.values()] + ([timed[0]] if timed and dates is None else [])

@@ -488,11 +488,7 @@ def excited_together(entry: Any, name: str) -> object:
     if isinstance(entry, Signal):
         return name
     fields = declared_fields(type(entry)).values()
-    settings = {
-        field.name: getattr(entry, field.name)
-        for field in fields
-        if field.name not in ("low", "high", "unit")
-    }
+    settings = {f.name: getattr(entry, f.name) for f in fields if f.name not in ("low", "high", "unit")}
     return type(entry), *settings.items()
 
 
@@ -539,13 +535,11 @@ def sampling_faults(excitation: Excitation, sampling_time: float) -> list[str]:
     """Return what is wrong where an excitation is made for another sampling time [s] than that of a loop."""
     if isinstance(excitation, MixedExcitation):
         return [fault for part, _ in excitation.parts for fault in sampling_faults(part, sampling_time)]
-    interval = getattr(excitation, "sampling_time", None)
-    if not isinstance(interval, Real) or math.isclose(interval, sampling_time, rel_tol=1e-9):
+    time = getattr(excitation, "sampling_time", None)
+    if not isinstance(time, Real) or math.isclose(time, sampling_time, rel_tol=1e-9):
         return []
     name = type(excitation).__name__
-    return [
-        f"excitation: {name} has sampling_time = {interval:g} s, the loop {sampling_time:g} s; needed: one"
-    ]
+    return [f"excitation: {name} has sampling_time = {time:g} s, the loop {sampling_time:g} s; needed: one"]
 
 
 def _are_finite(values: object) -> bool:

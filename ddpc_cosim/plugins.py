@@ -340,14 +340,9 @@ def _hint(error: BaseException, top: str) -> str:
     """Return why a module was not found, or not the one that was meant."""
     if isinstance(error, ModuleNotFoundError) and error.name == top:
         return f"; it is not installed, and not in {own_folder()}"
-    beside, installed_file = Path(own_folder(), f"{top}.py"), getattr(sys.modules.get(top), "__file__", None)
-    if (
-        isinstance(error, AttributeError)
-        and beside.is_file()
-        and installed_file
-        and not beside.samefile(installed_file)
-    ):
-        return f"; {installed_file} is installed and comes first: give {beside} another name"
+    beside, loaded = Path(own_folder(), f"{top}.py"), getattr(sys.modules.get(top), "__file__", None)
+    if isinstance(error, AttributeError) and beside.is_file() and loaded and not beside.samefile(loaded):
+        return f"; {loaded} is installed and comes first: give {beside} another name"
     return ""
 
 
@@ -474,25 +469,23 @@ def _own_source(value: Any) -> list[str]:
     """
     parts, waiting, seen = list[str](), [value], {id(value)}
     while waiting:
-        used_object = waiting.pop()
-        if not isinstance(used_object, type | FunctionType):
-            parts.append(_content_of(used_object))
-            if type(used_object).__module__ != value.__module__:
+        entry = waiting.pop()
+        if not isinstance(entry, type | FunctionType):
+            parts.append(_content_of(entry))
+            if type(entry).__module__ != value.__module__:
                 continue
-            used_object = type(used_object)
+            entry = type(entry)
         try:
-            source = textwrap.dedent(inspect.getsource(used_object))
+            source = textwrap.dedent(inspect.getsource(entry))
             used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
         except (OSError, TypeError, SyntaxError):
-            source, used = _code_of(used_object), set[str]()
+            source, used = _code_of(entry), set[str]()
         parts.append(source)
-        around = vars(sys.modules[used_object.__module__]) if used_object.__module__ in sys.modules else {}
+        around = vars(sys.modules[entry.__module__]) if entry.__module__ in sys.modules else {}
         for name in sorted(used & around.keys()):
             other = around[name]
             is_code = isinstance(other, type | FunctionType)
-            is_own = (
-                other.__module__ == used_object.__module__ if is_code else not isinstance(other, ModuleType)
-            )
+            is_own = other.__module__ == entry.__module__ if is_code else not isinstance(other, ModuleType)
             if id(other) not in seen and is_own:
                 seen.add(id(other))
                 waiting.append(other)

@@ -185,10 +185,8 @@ class EndWindow:
     @classmethod
     def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, settling: bool = False) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
-        in_window = error[rows]
-        return cls(
-            len(in_window), abs(float(in_window.mean())), float(np.abs(in_window).mean()), step, settling
-        )
+        window = error[rows]
+        return cls(len(window), abs(float(window.mean())), float(np.abs(window).mean()), step, settling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,18 +372,9 @@ class WholeRun:
     def cost(self) -> float:
         """Return the sum over the samples of all weighted squares, each in the unit of its signal."""
         squares = {
-            "outputs": {
-                response.variable.name: (response.reference - response.values) ** 2
-                for response in self.responses
-            },
-            "inputs": {
-                actuation.variable.name: (actuation.values - actuation.rest) ** 2
-                for actuation in self.actuations
-            },
-            "changes": {
-                actuation.variable.name: np.diff(actuation.values, prepend=actuation.rest) ** 2
-                for actuation in self.actuations
-            },
+            "outputs": {y.variable.name: (y.reference - y.values) ** 2 for y in self.responses},
+            "inputs": {u.variable.name: (u.values - u.rest) ** 2 for u in self.actuations},
+            "changes": {u.variable.name: np.diff(u.values, prepend=u.rest) ** 2 for u in self.actuations},
         }
         return sum(
             weight * _total(squares[kind][name])

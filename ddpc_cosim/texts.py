@@ -92,9 +92,7 @@ def toml_tables(text: str) -> dict[str, Any]:
     tables = tomllib.loads(text)
     level: list[Any] = [tables]
     for _ in range(DEEPEST):
-        entries = (
-            entry for table in level for entry in (table.values() if isinstance(table, dict) else table)
-        )
+        entries = (entry for item in level for entry in (item.values() if isinstance(item, dict) else item))
         level = [entry for entry in entries if isinstance(entry, dict | list)]
     if level:
         raise DeepTablesError

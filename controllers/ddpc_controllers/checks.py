@@ -22,7 +22,7 @@ def check_settings_and(controller: Controller, faults_between: Callable[[], Sequ
         raise ConfigError(faults)
 
 
-def prior_information(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
+def prior_info(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
     """Return the facts of :meth:`ddpc_cosim.Controller.knowledge`.
 
     Parameters

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddpc_controllers.export.code import Code, inner_step
-from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_prior_information
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_prior_info
 from ddpc_cosim import (
     Action,
     Bounds,
@@ -127,7 +127,7 @@ class Decentralised(Wrapper):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
         parts = zip(self.groups, self._shares, strict=True)
-        return joined_prior_information(
+        return joined_prior_info(
             {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}
         )
 

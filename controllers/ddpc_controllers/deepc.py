@@ -20,7 +20,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, prior_information
+from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, prior_info
 from ddpc_controllers.data.hankel import (
     ONE,
     WindowLayout,
@@ -218,7 +218,7 @@ class BehavioralTracking(ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_information("nothing", loop.outputs)
+        return prior_info("nothing", loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""

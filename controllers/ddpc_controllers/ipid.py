@@ -23,7 +23,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, per_signal, prior_information
+from ddpc_controllers.checks import check_settings_and, per_signal, prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
@@ -210,7 +210,7 @@ class IPID(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_information("a rough gain of the inputs, alpha", loop.outputs)
+        return prior_info("a rough gain of the inputs, alpha", loop.outputs)
 
     def _observe(self, y: FloatArray) -> None:
         if self._started:

@@ -23,7 +23,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_information
+from ddpc_controllers.checks import check_settings_and, prior_info
 from ddpc_controllers.data.dictionaries import (
     Dictionary,
     ThinPlate,
@@ -361,9 +361,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_information(
-            "nothing", loop.outputs, loop.measurements if self.state == "measured" else ()
-        )
+        return prior_info("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""

@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy  # whose parts are imported when they are first used
 
-from ddpc_controllers.checks import prior_information
+from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -136,7 +136,7 @@ class ModelFreeAdaptive(ScaledSignals):
             prior = "its gradient to begin with"
         else:
             prior = "the sign of its gain" if self.assume_sign else "a first gain"
-        return prior_information(f"{prior}, by initial_gradient", loop.outputs)
+        return prior_info(f"{prior}, by initial_gradient", loop.outputs)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""

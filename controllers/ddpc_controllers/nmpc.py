@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_information, weight_matrices
+from ddpc_controllers.checks import check_settings_and, prior_info, weight_matrices
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.plant_equations import (
@@ -231,7 +231,7 @@ class NMPC(Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""
         prior = f"everything: the equations, parameters and start values of {self._named}"
-        return prior_information(prior, loop.outputs, loop.measurements)
+        return prior_info(prior, loop.outputs, loop.measurements)
 
 
 def _next(plan: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.checks import prior_information
+from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.identification import fit_arx
@@ -423,7 +423,7 @@ class PID(Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
         prior = "nothing" if self.uses_recording else "gains, as they are set"
-        return prior_information(prior, loop.outputs)
+        return prior_info(prior, loop.outputs)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""

@@ -186,14 +186,12 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
     u = _sizes(loop.inputs, bounds.u_min, bounds.u_max, by, faults)
     y = _sizes(loop.outputs, bounds.y_min, bounds.y_max, by, faults)
     low, high = (np.array([getattr(v, end) for v in loop.measurements]) for end in ("min", "max"))
-    of_measurements = _sizes(loop.measurements, low, high, by, [])
+    scales = _sizes(loop.measurements, low, high, by, [])
     if faults:
         raise ConfigError(faults)
     # An output has one scale, also where it is measured.
     of_outputs = {variable.name: scale for variable, scale in zip(loop.outputs, y, strict=True)}
-    measured = [
-        of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, of_measurements, strict=True)
-    ]
+    measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, scales, strict=True)]
     return u, y, np.array(measured)
 
 

@@ -20,7 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import per_signal, prior_information
+from ddpc_controllers.checks import per_signal, prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import HELD
@@ -107,7 +107,7 @@ class SPSA(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_information("gains to begin with", loop.outputs)
+        return prior_info("gains to begin with", loop.outputs)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return PID control with the gains that are being tried."""

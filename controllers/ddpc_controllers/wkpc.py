@@ -8,13 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import (
-    LastMeasurement,
-    all_finite,
-    check_settings_and,
-    fill_missing,
-    prior_information,
-)
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, prior_info
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, c_lift, embed, memory_of
 from ddpc_controllers.data.hankel import (
     StateWindow,
@@ -239,7 +233,7 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_information("nothing", loop.outputs, loop.measurements)
+        return prior_info("nothing", loop.outputs, loop.measurements)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""

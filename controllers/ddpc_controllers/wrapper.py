@@ -83,7 +83,7 @@ def _merged(*infos: Mapping[str, float]) -> dict[str, float]:
     return {name: value for info in infos for name, value in info.items()}
 
 
-def joined_prior_information(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+def joined_prior_info(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     """Return the facts that all controllers state, with their names where these differ."""
     common = {}
     for fact in sorted(set.intersection(*(set(facts) for facts in parts.values()))):

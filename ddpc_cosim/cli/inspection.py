@@ -163,15 +163,7 @@ def _system_sections(inspection: SystemInspection) -> Iterator[_Section]:
         if (inspected := inspection.parts.get(part.name)) is not None
     ]
     yield _Section("Parts", "part", ("name", "file", "fmi", "runs for", "values set"), parts)
-    rows = [
-        (
-            connection.source,
-            connection.target,
-            _units(connection),
-            _scale(connection.factor, connection.offset),
-        )
-        for connection in system.connections
-    ]
+    rows = [(c.source, c.target, _units(c), _scale(c.factor, c.offset)) for c in system.connections]
     yield _Section("Connections", "connection", ("from", "to", "unit", "more"), rows)
     yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
     yield _Section("Outputs", "output", _HEADINGS, [_row(v) for v in inspection.outputs])

@@ -113,8 +113,8 @@ def _set(
 
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
     """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
-    all_standings = {problem.study.name: standings(problem.study, problem.cases) for problem in problems}
-    frame = problems_frame(all_standings.values())
+    rankings = {problem.study.name: standings(problem.study, problem.cases) for problem in problems}
+    frame = problems_frame(rankings.values())
     if frame is None:
         return None
     try:
@@ -126,20 +126,13 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
     of_controller: dict[str, list[CaseResult]] = {}
     for problem in problems:
         for case in problem.cases:
-            if case.scenario not in all_standings[problem.study.name].left_out:
+            if case.scenario not in rankings[problem.study.name].left_out:
                 of_controller.setdefault(case.controller, []).append(case)
     rows = [_Row(of_controller[name][0].label, of_controller[name]) for name in ranks.ranks]
     average = _Column(
         Heading("average rank"), "", "", lambda cases: Cell(f"{ranks.ranks[cases[0].controller]:.3g}")
     )
-    columns = [
-        average,
-        *(
-            _problem_column(name, of_problem)
-            for name, of_problem in all_standings.items()
-            if of_problem.order
-        ),
-    ]
+    columns = [average, *(_problem_column(*item) for item in rankings.items() if item[1].order)]
     labels = {name: cases[0].label for name, cases in of_controller.items()}
     differ = ranks_differ_clause(ranks, lambda rank: f"{rank:.2g}")
     lines = [
@@ -150,15 +143,11 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
 
 
 def _problem_column(name: str, of_problem: Standings) -> _Column:
-    by_controller = {standing.controller: standing for standing in of_problem.order}
+    ranks = {rank.controller: rank for rank in of_problem.order}
 
     def cell(cases: Sequence[CaseResult]) -> Cell:
-        standing = by_controller.get(cases[0].controller)
-        return (
-            Cell(_rank_words(standing.text) or _MISSING, failed=standing.failed > 0)
-            if standing
-            else Cell(_MISSING)
-        )
+        rank = ranks.get(cases[0].controller)
+        return Cell(_rank_words(rank.text) or _MISSING, failed=rank.failed > 0) if rank else Cell(_MISSING)
 
     label = clipped(name, _LONGEST_LABEL)
     return _Column(Heading(label), label, "", cell)
@@ -304,21 +293,15 @@ def _rows(results: StudyResults, findings: Findings) -> list[_Row]:
     key = next(iter(ranking.keys), "")
     base = {name: sections[name].variant_of or name for name in groups}
     labels = [cases[0].label for cases in groups.values()]
-    standing_of = {standing.controller: standing for standing in ranking.order}
+    standing = {place.controller: place for place in ranking.order}
     rows = []
 
     def rank(name: str) -> str | None:
         if not (ranking.order or ranking.left_out):  # none competes
             return None
-        return (
-            _rank_words(standing_of[name].text)
-            if name in standing_of
-            else _MISSING
-            if ranking.is_ranked
-            else ""
-        )
+        return _rank_words(standing[name].text) if name in standing else _MISSING if ranking.is_ranked else ""
 
-    for family in dict.fromkeys([*(standing.controller for standing in ranking.order), *base.values()]):
+    for family in dict.fromkeys([*(place.controller for place in ranking.order), *base.values()]):
         unvaried = groups.get(family, [])
         if unvaried:
             label = unvaried[0].label

@@ -230,12 +230,10 @@ class Exchange:
     def _draw_lines(self, parts: Iterable[Part], end: float, h: float) -> None:
         """Note when and how fast the outputs of parts changed in a step that ends at a time [s]."""
         for part in parts:
-            output_slice = part.output_slice
+            rows = part.output_slice
             held = part.plant.is_sampled
-            self._slopes[output_slice] = (
-                0.0 if held else (self.values[output_slice] - self._before[output_slice]) / (part.every * h)
-            )
-            self._stamps[output_slice] = end
+            self._slopes[rows] = 0.0 if held else (self.values[rows] - self._before[rows]) / (part.every * h)
+            self._stamps[rows] = end
 
     def _updates(self, changed: Iterable[int]) -> list[OutputUpdate]:
         """Return the updates of everything that depends on some values, where parts can give outputs."""

@@ -74,9 +74,9 @@ class AlgebraicLoop:
             if not change <= _CONTRACTS * last:
                 break
         residual = np.inf
-        for uses_derivatives in (True, False):
+        for exact in (True, False):
             self._values[self._members] = start
-            residual = self._newton(time, uses_derivatives)
+            residual = self._newton(time, exact)
             if residual <= self._tolerance:
                 return
         raise FMUStepError(self._does_not_converge(time), StepStatus.ERROR, time)
@@ -85,13 +85,13 @@ class AlgebraicLoop:
         for part in self._parts:
             self._values[part.output_slice] = part.outputs_at(self._taken(part, time), time)
 
-    def _newton(self, time: float, uses_derivatives: bool) -> float:
+    def _newton(self, time: float, exact: bool) -> float:
         """Take Newton steps; return the last one, relative to the values: small, if they have converged."""
         values, members = self._values, self._members
         outputs, error = self._outputs(time)
         for _ in range(_MOST_NEWTON_STEPS):
             z = values[members]
-            matrix = self._jacobian(time, outputs, uses_derivatives)
+            matrix = self._jacobian(time, outputs, exact)
             self._residual = error
             if matrix is None or not np.isfinite(matrix).all() or not np.isfinite(error).all():
                 return np.inf
@@ -123,15 +123,13 @@ class AlgebraicLoop:
             values[part.output_slice] = y
         return outputs, values[self._members] - self._values[self._members]
 
-    def _jacobian(
-        self, time: float, outputs: Sequence[FloatArray], uses_derivatives: bool
-    ) -> FloatArray | None:
+    def _jacobian(self, time: float, outputs: Sequence[FloatArray], exact: bool) -> FloatArray | None:
         """Return the derivatives of the loop's values by themselves; None where no part knows its own."""
-        size, known = len(self._members), not uses_derivatives
+        size, known = len(self._members), not exact
         matrix = np.zeros((size, size))
         for part, y in zip(self._parts, outputs, strict=True):
             taken = self._taken(part, time)
-            derivatives = part.derivatives(taken, time) if uses_derivatives else None
+            derivatives = part.derivatives(taken, time) if exact else None
             known = known or derivatives is not None
             rows = [(row, p - part.output_slice.start) for p, row in self._row.items() if p in part.places]
             for i, source in enumerate(part.sources.tolist()):

@@ -210,9 +210,7 @@ class CoupledPlant(Plant):
         system = read_ssp(Path(path))
         for key, exposed in (("inputs", system.inputs), ("outputs", system.outputs)):
             options.setdefault(key, names(exposed) or None)
-        values = {
-            f"{part.name}.{key}": value for part in system.parts for key, value in part.parameters.items()
-        }
+        values = {f"{p.name}.{key}": value for p in system.parts for key, value in p.parameters.items()}
         with ExitStack() as opened:
             parts = dict[str, Plant]()
             for part in system.parts:

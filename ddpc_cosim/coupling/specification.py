@@ -120,21 +120,21 @@ class CoupledSpec:
         inputs, outputs = ({v.name: v for v in group} for group in (wiring.inputs, wiring.outputs))
         parameters = {
             f"{part}.{name}": replace(variable, name=f"{part}.{name}")
-            for part, description in known.items()
-            for name, variable in description.parameters.items()
+            for part, described in known.items()
+            for name, variable in described.parameters.items()
         }
-        tunable = {f"{part}.{name}" for part, description in known.items() for name in description.tunable}
+        tunable = {f"{part}.{name}" for part, described in known.items() for name in described.tunable}
         fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known, ()).items() for name in fed}
 
         def usual(every: Mapping[str, Variable], of: Callable[[PlantDescription], Iterable[str]]) -> Any:
             """Return the system's own signals; of a system without any, those of its parts."""
-            of_parts = [f"{part}.{name}" for part, description in known.items() for name in of(description)]
+            of_parts = [f"{part}.{name}" for part, described in known.items() for name in of(described)]
             return tuple(name for name in every if "." not in name) or tuple(
                 name for name in of_parts if name in every
             )
 
-        usual_inputs = usual(inputs, lambda description: description.default_inputs or description.inputs)
-        usual_outputs = usual(outputs, lambda description: description.default_outputs or description.outputs)
+        usual_inputs = usual(inputs, lambda described: described.default_inputs or described.inputs)
+        usual_outputs = usual(outputs, lambda described: described.default_outputs or described.outputs)
         connectors = {
             name: DescribedVariable(variable, causality=causality, start_text=repr(variable.start))
             for causality, variables in (("input", inputs), ("output", outputs))
@@ -148,11 +148,7 @@ class CoupledSpec:
             frozenset(tunable - fed),
             usual_inputs,
             usual_outputs,
-            {
-                unit: shown
-                for description in known.values()
-                for unit, shown in description.display_units.items()
-            },
+            {unit: shown for described in known.values() for unit, shown in described.display_units.items()},
             variables=connectors | dict(self._declared(known, {*usual_inputs, *usual_outputs})),
             default_experiment=self.experiment,
             variable_step=all(part.variable_step for part in known.values()),
@@ -204,8 +200,8 @@ class CoupledSpec:
 
     def _wiring(self, known: Mapping[str, PlantDescription], outputs: Sequence[str] | None = None) -> Wiring:
         signals = {
-            name: PartSignals(tuple(description.inputs.values()), tuple(description.outputs.values()))
-            for name, description in known.items()
+            name: PartSignals(tuple(described.inputs.values()), tuple(described.outputs.values()))
+            for name, described in known.items()
         }
         return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
 
@@ -215,21 +211,18 @@ class CoupledSpec:
         """Return by part the inputs that connections feed, and the outputs that they start from."""
         wiring = self._wiring(known, outputs)
         sources = {part: wiring.input_maps[part].sources.tolist() for part in known}
-        places = {
-            *wiring.output_map.sources.tolist(),
-            *(place for some in sources.values() for place in some),
-        }
+        places = set(wiring.output_map.sources.tolist()).union(*sources.values())
         used = {wiring.values[place] for place in places}
         return {
             part: (
                 tuple(
                     name
-                    for name, place in zip(description.inputs, sources[part], strict=True)
+                    for name, place in zip(described.inputs, sources[part], strict=True)
                     if wiring.values[place] != f"{part}.{name}"
                 ),
-                tuple(name for name in description.outputs if f"{part}.{name}" in used),
+                tuple(name for name in described.outputs if f"{part}.{name}" in used),
             )
-            for part, description in known.items()
+            for part, described in known.items()
         }
 
     def built(self) -> Self:
@@ -263,9 +256,7 @@ class CoupledSpec:
     def starting_at(self, start: Mapping[str, float]) -> Self:
         """Return it, built, with other start values of inputs, by full name."""
         parts = {
-            name: part.starting_at(
-                {variable: start[f"{name}.{variable}"] for variable in _within(name, start)}
-            )
+            name: part.starting_at({v: start[f"{name}.{v}"] for v in _within(name, start)})
             for name, part in self.parts.items()
         }
         return replace(self, parts=parts, connectors=with_start(self.connectors, start))

@@ -262,15 +262,11 @@ class Wiring:
             [0.0 if name in self._out else v.start for name, v in zip(self.values, variables, strict=True)]
         )
         self.input_maps = {
-            part: self._affine_map(
-                [self._links.get(name, _Link(name)) for name in _full(part, signals.inputs)]
-            )
+            part: self._map([self._links.get(name, _Link(name)) for name in _full(part, signals.inputs)])
             for part, signals in self._parts.items()
         }
         system = self._system_outputs
-        self.output_map = self._affine_map(
-            [self._links[name] if name in system else _Link(name) for name in read]
-        )
+        self.output_map = self._map([self._links[name] if name in system else _Link(name) for name in read])
         self.slices, begin = {}, len(driven) + len(resting)
         for part, signals in self._parts.items():
             self.slices[part] = slice(begin, begin + len(signals.outputs))
@@ -298,7 +294,7 @@ class Wiring:
                 chosen[name + place] = None
         return tuple(chosen)
 
-    def _affine_map(self, links: Sequence[_Link]) -> AffineMap:
+    def _map(self, links: Sequence[_Link]) -> AffineMap:
         return AffineMap(
             np.array([self._place[link.source] for link in links], dtype=np.intp),
             np.array([link.factor for link in links], dtype=np.float64),

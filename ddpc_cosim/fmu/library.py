@@ -238,17 +238,15 @@ class BundledLibraries:
         if match is None or match["name"] in self._loaded:
             return False
         name = match["name"]
-        library = next(
-            (path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None
-        )
-        if library is None:
+        file = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
+        if file is None:
             raise MissingLibraryError(
                 f"its library needs {name}, which is neither in the FMU nor on this machine; install it, "
                 "or add its folder to LD_LIBRARY_PATH"
             ) from error
         while True:
             try:
-                self._loaded[name] = ctypes.CDLL(str(library))
+                self._loaded[name] = ctypes.CDLL(str(file))
                 return True
             except OSError as fault:  # it may need others in turn
                 if not self.supply(fault):

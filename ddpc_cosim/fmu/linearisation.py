@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ddpc_cosim.description import ScalarSignal, element
+from ddpc_cosim.description import PlantSignal, element
 from ddpc_cosim.fmu.buffers import Port, Shapes, layout
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.instance import Instance, Model, reference_array
@@ -59,20 +59,18 @@ class LinearModel:
     warnings: tuple[str, ...] = ()
 
 
-def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[ScalarSignal]:
+def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[PlantSignal]:
     """Return the numbers that variables consist of, arrays element by element."""
-    elements = []
+    items = []
     for name in names:
         variable = description.variables[name]
         sizes = shapes.get(name, variable.shape)
-        elements += [
-            element(variable, indices) for indices in product(*(range(1, size + 1) for size in sizes))
-        ]
-    return elements
+        items += [element(variable, indices) for indices in product(*(range(1, size + 1) for size in sizes))]
+    return items
 
 
 def directional_derivatives(
-    instance: Instance, unknowns: Sequence[ScalarSignal], knowns: Sequence[ScalarSignal], shapes: Shapes
+    instance: Instance, unknowns: Sequence[PlantSignal], knowns: Sequence[PlantSignal], shapes: Shapes
 ) -> FloatArray:
     """Return the derivatives of unknowns by knowns, shape (unknowns, knowns).
 
@@ -107,7 +105,7 @@ class OperatingPoint:
     ----------
     model : Model
         The instance, in continuous-time mode.
-    inputs, outputs : sequence of ScalarSignal
+    inputs, outputs : sequence of PlantSignal
         Real numbers to change and to read.
     shapes : mapping of str to tuple of int
         Sizes of arrays that differ from the description's.
@@ -123,7 +121,7 @@ class OperatingPoint:
     """
 
     def __init__(
-        self, model: Model, inputs: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal], shapes: Shapes
+        self, model: Model, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal], shapes: Shapes
     ) -> None:
         self._model, self._n = model, model.sizes()[0]
         self._inputs, self._outputs = Port(model, inputs, shapes), Port(model, outputs, shapes)
@@ -173,7 +171,7 @@ def central_differences(around: OperatingPoint) -> FloatArray:
 
 
 def linearisation_faults(
-    description: FMUDescription, inputs: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal]
+    description: FMUDescription, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> list[str]:
     """Return why an FMU cannot be linearised between some inputs and outputs; empty if it can."""
     if "model-exchange" not in description.interfaces:
@@ -201,8 +199,8 @@ def has_directional_derivatives(model: Model, description: FMUDescription, shape
 
 def linearise(
     model: Model,
-    inputs: Sequence[ScalarSignal],
-    outputs: Sequence[ScalarSignal],
+    inputs: Sequence[PlantSignal],
+    outputs: Sequence[PlantSignal],
     shapes: Shapes,
     description: FMUDescription,
     *,
@@ -214,7 +212,7 @@ def linearise(
     ----------
     model : Model
         The instance, in continuous-time mode.
-    inputs, outputs : sequence of ScalarSignal
+    inputs, outputs : sequence of PlantSignal
         The real numbers between which it is linearised.
     shapes : mapping of str to tuple of int
         Sizes of arrays that differ from the description's.
@@ -276,7 +274,7 @@ def linearise(
     )
 
 
-def _place_states(rows: FloatArray, states: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal]) -> None:
+def _place_states(rows: FloatArray, states: Sequence[PlantSignal], outputs: Sequence[PlantSignal]) -> None:
     """Write the rows of outputs that are states, by value reference: some FMUs say 0 of them."""
     place = {(state.source.reference, state.indices): i for i, state in enumerate(states)}
     for row, signal in zip(rows, outputs, strict=True):
@@ -318,7 +316,7 @@ def contradicted(around: OperatingPoint, derivatives: FloatArray, is_single: boo
 
 
 def _require_finite(
-    matrix: FloatArray, states: Sequence[str], inputs: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal]
+    matrix: FloatArray, states: Sequence[str], inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> None:
     wrong = np.argwhere(~np.isfinite(matrix))
     if wrong.size:

@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from ddpc_cosim.description import ScalarSignal, choose_signals
+from ddpc_cosim.description import PlantSignal, choose_signals
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
@@ -68,7 +68,7 @@ class UnpackedFMU:
         What it says about itself.
     interface : Interface
         How it is run.
-    inputs, outputs : tuple of ScalarSignal
+    inputs, outputs : tuple of PlantSignal
         What is driven and what is read.
     source : InstanceSource
         What to load.
@@ -84,8 +84,8 @@ class UnpackedFMU:
     label: str
     description: FMUDescription
     interface: Interface
-    inputs: tuple[ScalarSignal, ...]
-    outputs: tuple[ScalarSignal, ...]
+    inputs: tuple[PlantSignal, ...]
+    outputs: tuple[PlantSignal, ...]
     source: InstanceSource
     warnings: tuple[str, ...]
     tolerance: float | None
@@ -184,7 +184,7 @@ def for_model_exchange(fmu: UnpackedFMU) -> UnpackedFMU:
     return replace(fmu, interface=interface, source=source)
 
 
-def _starting_at(start: Mapping[str, float], signal: ScalarSignal) -> ScalarSignal:
+def _starting_at(start: Mapping[str, float], signal: PlantSignal) -> PlantSignal:
     variable = signal.variable
     return replace(signal, variable=replace(variable, start=start.get(variable.name, variable.start)))
 

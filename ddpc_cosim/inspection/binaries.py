@@ -165,11 +165,9 @@ def _check_content(
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
         return ""
-    its, processor_here = processor(content), _own_processor()
-    if its and processor_here and its != processor_here:
-        findings.add(
-            FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {processor_here}"
-        )
+    its, here = processor(content), _own_processor()
+    if its and here and its != here:
+        findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {here}")
         return ""
     if is_cut_off(content):
         findings.add(CUT_OFF_LIBRARY, f"{library.parent.name}/{library.name}, {len(content)} bytes")

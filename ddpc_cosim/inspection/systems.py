@@ -111,9 +111,7 @@ def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
 
 def _structure(system: SSPSystem, parts: Mapping[str, Inspection]) -> tuple[Wiring, Graph]:
     used = {end for connection in system.connections for end in (connection.source, connection.target)}
-    signals = {
-        name: _signals(name, part.description, used) for name, part in parts.items() if part.description
-    }
+    signals = {name: _signals(name, p.description, used) for name, p in parts.items() if p.description}
     connections = [connection.connection for connection in system.connections]
     wiring = Wiring(signals, connections, connectors=(*system.inputs, *system.outputs))
     return wiring, Graph(signals, wiring)

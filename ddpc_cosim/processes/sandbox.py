@@ -208,10 +208,8 @@ def _readable(sandbox: Sandbox) -> list[Path]:
     home, temporary = Path.home().resolve(), Path(tempfile.gettempdir()).resolve()
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
     installed = [place for place in places if not temporary.is_relative_to(place)]
-    readable = [
-        place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())
-    ]
-    return [*map(Path, _INSTALLED), *(Path("/proc", name) for name in _PROC), *readable]
+    paths = [place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())]
+    return [*map(Path, _INSTALLED), *(Path("/proc", name) for name in _PROC), *paths]
 
 
 def _restrict_files(libc: ctypes.CDLL, sandbox: Sandbox) -> None:

@@ -213,13 +213,11 @@ def _error(name: str, arguments: list[Any]) -> CosimError | UnexpectedError:
     return kind(texts) if issubclass(kind, ConfigError | DataError) else kind(*texts)
 
 
-def lost(
-    who: str, call: str, time: float, exit_status: ExitStatus, seconds: float | None = None
-) -> FMUStepError:
+def lost(who: str, call: str, time: float, end: ExitStatus, seconds: float | None = None) -> FMUStepError:
     """Return the error for a call in a worker that crashed, or did not return within so many seconds."""
     place = f"in {_PHASES.get(call, call)}" + (f" at t = {time:g} s" if math.isfinite(time) else "")
     if seconds is None:
-        return FMUStepError(f"{who}: crashed {place}: {exit_status}", StepStatus.CRASHED, time)
+        return FMUStepError(f"{who}: crashed {place}: {end}", StepStatus.CRASHED, time)
     return FMUStepError(
         f"{who}: no return within {seconds:g} s {place}; its process was ended; "
         "raise step_timeout if it needs longer",

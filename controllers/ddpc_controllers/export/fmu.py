@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddpc_controllers.checks import prior_information
+from ddpc_controllers.checks import prior_info
 from ddpc_cosim import (
     OK,
     Action,
@@ -202,7 +202,7 @@ class FMUController(Controller):
             made = (
                 f"what the recording was made on that it had learned from, of {recording['samples']} samples"
             )
-        return prior_information(made, used)
+        return prior_info(made, used)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the FMU: what it has been given leads to where it is."""

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_information
+from ddpc_controllers.checks import check_settings_and, prior_info
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -222,8 +222,8 @@ class ModelBased(ScaledSignals):
         """Return the signals it uses, and its prior information about the plant."""
         model = self.model
         if isinstance(model, Identified):
-            return prior_information("nothing", loop.outputs)
-        return prior_information(f"a linear model, by {type(model).__name__}", loop.outputs)
+            return prior_info("nothing", loop.outputs)
+        return prior_info(f"a linear model, by {type(model).__name__}", loop.outputs)
 
     def start(self, loop: Loop) -> None:
         """Get the model, and start on the loop in scaled signals.

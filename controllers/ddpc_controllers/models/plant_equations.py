@@ -280,13 +280,10 @@ class ExtendedKalmanFilter:
         )
         signals = measured_signals(loop)
         carrier = loop.inputs if plant.disturbances == len(loop.inputs) else loop.outputs
-        deviation = measurement_noise * np.abs([variable.nominal for variable in signals])
+        sd = measurement_noise * np.abs([variable.nominal for variable in signals])
         change = disturbance_noise * np.abs([variable.nominal for variable in carrier])
         self._drive = (process_noise * np.abs([variable.nominal for variable in loop.inputs])) ** 2
-        self._noise, self._wander = (
-            np.diag(deviation**2),
-            np.append((_STATE_NOISE * plant.nominal) ** 2, change**2),
-        )
+        self._noise, self._wander = np.diag(sd**2), np.append((_STATE_NOISE * plant.nominal) ** 2, change**2)
         self.x, self.d = plant.start.copy(), np.zeros(plant.disturbances)
         self._covariance = np.diag(self._wander)
 

@@ -85,17 +85,15 @@ class Problem:
         first = 0.0 if isinstance(weight, Mapping) else weight
         self.weights = ((above, first), *((self.rows[name], size) for name, size in last.items()))
 
-    def regularise_about(
-        self, rows: Mapping[str, Blocks], weight: float, origin: Mapping[str, float]
-    ) -> None:
+    def regularise_about(self, rows: Mapping[str, Blocks], weight: float, about: Mapping[str, float]) -> None:
         """Add ``weight |g - g_s|^2`` to the cost, g_s being the smallest combination with given data rows.
 
         ``rows`` has coefficients of variables or parameters for each block of data rows; ``own`` has weights
         of what the last blocks of rows add to g_s.
         """
-        above = self.row_count - sum(self.rows[name] for name in origin)
-        self.weights = ((above, weight), *((self.rows[name], weight) for name in origin))
-        self.origin_weights = (0.0, *origin.values())
+        above = self.row_count - sum(self.rows[name] for name in about)
+        self.weights = ((above, weight), *((self.rows[name], weight) for name in about))
+        self.origin_weights = (0.0, *about.values())
         of_x, of_p = self.origin
         for row, blocks in rows.items():
             for name, block in blocks.items():

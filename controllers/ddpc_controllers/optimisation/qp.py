@@ -500,27 +500,25 @@ class AdaptiveQP(_BoundedLaw):
         """Eliminate the equalities in the coordinates of the data's factor."""
         self._factor = self._data.factor
         reduced = self._reduced = reduce(self._problem, self._factor)
-        rank, size = reduced.coordinates[0].gain.shape
-        terms = len(reduced.coordinates)
+        rank, size = reduced.g_costs[0].gain.shape
+        terms = len(reduced.g_costs)
         self._take(reduced)
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
-        coordinate_laws = [coordinates.law for coordinates in reduced.coordinates]
+        g_laws = [cost.law for cost in reduced.g_costs]
         no_law, no_gain = (np.zeros((1, width)) for width in (linear.shape[1], size))
-        self._laws = np.vstack([linear, *coordinate_laws, reduced.excess_law, reduced.move_law, no_law])
+        self._laws = np.vstack([linear, *g_laws, reduced.excess_law, reduced.move_law, no_law])
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain, no_gain])
         self._rest = len(self._gains) - 1
         self._curvature = reduced.residual.T @ reduced.residual
         # The costs of g, side by side: one triangular solution serves them all.
         self._roots = np.sqrt(
-            np.hstack(
-                [np.tile(coordinates.weights[:, np.newaxis], size + 1) for coordinates in reduced.coordinates]
-            )
+            np.hstack([np.tile(cost.weights[:, np.newaxis], size + 1) for cost in reduced.g_costs])
         )
         self._weighted = np.zeros((rank, terms * (size + 1)), order="F")
-        for place, coordinates in zip(self._places_of_coordinates(), reduced.coordinates, strict=True):
-            self._weighted[:, place][:, :size] = coordinates.gain
+        for place, cost in zip(self._places_of_costs(), reduced.g_costs, strict=True):
+            self._weighted[:, place][:, :size] = cost.gain
 
     def _unconstrained_optimum(
         self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
@@ -532,7 +530,7 @@ class AdaptiveQP(_BoundedLaw):
         deviation = scipy.linalg.blas.dtrsm(1.0, gram_factor, weighted, lower=1)
         deviation *= self._roots
         if weighted.shape[1] > size + 1:
-            deviation = np.vstack([deviation[:, place] for place in self._places_of_coordinates()])
+            deviation = np.vstack([deviation[:, place] for place in self._places_of_costs()])
         products = scipy.linalg.blas.dsyrk(1.0, deviation, trans=1)
         triangular, info = scipy.linalg.lapack.dpotrf(self._curvature + products[:size, :size])
         diagonal = triangular.diagonal().tolist()
@@ -543,12 +541,10 @@ class AdaptiveQP(_BoundedLaw):
         offset = np.dot(self._offset, parameters)
         return triangular, w, float(offset @ offset + products[size, size] + slope @ w)
 
-    def _places_of_coordinates(self) -> list[slice]:
+    def _places_of_costs(self) -> list[slice]:
         """Return where each part of what g costs stands, its gain and its value."""
         width = len(self._curvature) + 1
-        return [
-            slice(start, start + width) for start in range(0, len(self._reduced.coordinates) * width, width)
-        ]
+        return [slice(start, start + width) for start in range(0, len(self._reduced.g_costs) * width, width)]
 
     def _optimum_by_roots(
         self, deviation: FloatArray, parameters: FloatArray

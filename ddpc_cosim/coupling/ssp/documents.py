@@ -330,9 +330,7 @@ class Reader:
         if kind in (_SSD_TYPE, _SSP_TYPE):
             inner = self._referenced(kind, path, fragment, document, at, where)
             if inner is not None:
-                inner.bindings += [
-                    Binding(binding, document, inner.document.package) for binding in _bindings(xml)
-                ]
+                inner.bindings += [Binding(b, document, inner.document.package) for b in _bindings(xml)]
             return inner
         if kind != _FMU:
             self.faults.append(f'{where}: components of type "{kind}" are not supported; export an FMU of it')
@@ -359,10 +357,7 @@ class Reader:
     ) -> System | None:
         """Return the system that a component stands for: of this file, of another one, or of an archive."""
         if not path:
-            system = next(
-                (candidate for candidate in document.root.iter("System") if candidate.get("id") == fragment),
-                None,
-            )
+            system = next((s for s in document.root.iter("System") if s.get("id") == fragment), None)
             if system is None:
                 self.faults.append(f'{where}: no system has the id "{fragment}"')
             return None if system is None else self._system(system, document, at)
@@ -419,10 +414,7 @@ class Reader:
                 factor, offset = (number(transformation.get(k, default)) for k, default in _LINEAR)
                 return Transformation(factor, offset, kind=kind)
             convert = _CONVERT[kind]
-            entries = [
-                (convert(entry.get("source", "")), convert(entry.get("target", "")))
-                for entry in transformation
-            ]
+            entries = [(convert(e.get("source", "")), convert(e.get("target", ""))) for e in transformation]
         except (ValueError, KeyError) as error:
             self.faults.append(f"{where}: <{transformation.tag}> cannot be read: {error}")
             return Transformation()

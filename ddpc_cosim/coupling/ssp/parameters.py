@@ -176,14 +176,7 @@ class Parameters:
         if not node.element:
             self.connectors[node.name] = arrived.values[0]
         for edge in self._connections.out_of.get(node, ()):
-            component = next(
-                (
-                    candidate
-                    for candidate in self._connections.system.components()
-                    if candidate.path == edge.target.element
-                ),
-                None,
-            )
+            component = self._connections.components.get(edge.target.element)
             there = replace(arrived, how=edge.how, converts=edge.converts)
             if component is not None:
                 self._set(component, edge.target.name, there, where)

@@ -10,7 +10,7 @@ from ddpc_cosim.description import (
     DefaultExperiment,
     DescribedVariable,
     PlantDescription,
-    ScalarSignal,
+    PlantSignal,
     default_signals,
 )
 from ddpc_cosim.errors import ConfigError, FMUImportError
@@ -156,7 +156,7 @@ class FMUDescription(Declarations):
 
 
 def direct_dependencies(
-    description: FMUDescription, inputs: Sequence[ScalarSignal], outputs: Sequence[ScalarSignal]
+    description: FMUDescription, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> dict[str, frozenset[str]]:
     """Return for outputs the inputs that they depend on directly: all, where the FMU does not say."""
     dependencies = {}
@@ -168,7 +168,7 @@ def direct_dependencies(
     return dependencies
 
 
-def is_sampled(inputs: Sequence[ScalarSignal]) -> bool:
+def is_sampled(inputs: Sequence[PlantSignal]) -> bool:
     """Return whether all inputs are discrete: those of a sampled block, such as an exported controller."""
     return bool(inputs) and all(signal.source.variability == "discrete" for signal in inputs)
 
