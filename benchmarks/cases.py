@@ -89,13 +89,13 @@ def main() -> bool:
     cases = cases_of(resolved, resolved.plant.built())
     run(cases[:2], 1)  # from now on all is imported
     turns = [(*run(cases, 1), run(cases, 2)[1], loops_alone(cases), forks(len(cases))) for _ in range(TURNS)]
-    used, one, two, loops, forked = np.array(turns).T
+    used, single, two, loops, forked = np.array(turns).T
     beside = 1e3 * np.median(used - loops) / len(cases)
     print(f"a case: {1e3 * np.median(loops) / len(cases):.1f} ms its loop, {beside:.1f} ms besides")
-    print(f"{len(cases)} cases: {np.median(one):.2f} s with one worker, {np.median(two):.2f} s with two")
+    print(f"{len(cases)} cases: {np.median(single):.2f} s with one worker, {np.median(two):.2f} s with two")
     return all(
         [
             held("a case besides its loop / a fork", float(np.median((used - loops) / forked)), CASE_LIMIT),
-            held("two workers / one worker", float(np.median(two / one)), WORKERS_LIMIT),
+            held("two workers / one worker", float(np.median(two / single)), WORKERS_LIMIT),
         ]
     )

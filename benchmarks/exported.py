@@ -96,9 +96,9 @@ class Times:
 
 def started(controller: Controller, limit: float) -> Loop:
     """Start a controller on the paper's loop, and return that."""
-    told = replace(loop(experiment(200), limit), preview=controller.horizon)
-    controller.start(told)
-    return told
+    started_loop = replace(loop(experiment(200), limit), preview=controller.horizon)
+    controller.start(started_loop)
+    return started_loop
 
 
 def in_python(controller: Controller, limit: float) -> tuple[Samples, FloatArray, FloatArray]:
@@ -129,9 +129,9 @@ def random_samples(horizon: int) -> Samples:
     return Samples(y, np.where(later, levels[:, 1:], levels[:, :1])[:, :, np.newaxis])
 
 
-def library_of(controller: Controller, told: Loop, folder: Path) -> ctypes.CDLL:
+def library_of(controller: Controller, started_loop: Loop, folder: Path) -> ctypes.CDLL:
     """Compile a started controller with what times it."""
-    code = controller.c_code(told)
+    code = controller.c_code(started_loop)
     for name, text in code.sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     sources = [name for name in code.sources if name.endswith(".c")]
@@ -156,15 +156,15 @@ def in_c(library: ctypes.CDLL, samples: Samples) -> Times:
     """Step the code through samples."""
     n = len(samples.y)
     counts = [np.zeros(n, dtype=np.uint32) for _ in range(3)]
-    told = Times(np.zeros((n, 1)), np.zeros(n), *counts)
+    result = Times(np.zeros((n, 1)), np.zeros(n), *counts)
     library.time_code(
         _pointer(samples.y),
         _pointer(samples.r),
         ctypes.c_size_t(n),
         REPETITIONS,
-        *map(_pointer, (told.u, told.times, *counts)),
+        *map(_pointer, (result.u, result.times, *counts)),
     )
-    return told
+    return result
 
 
 def as_fmu(library: ctypes.CDLL, path: Path, samples: Samples, folder: Path) -> tuple[FloatArray, FloatArray]:
@@ -191,7 +191,7 @@ def as_fmu(library: ctypes.CDLL, path: Path, samples: Samples, folder: Path) -> 
         fmu.setupExperiment()
         fmu.enterInitializationMode()
         fmu.exitInitializationMode()
-        own = np.zeros(n)
+        fmu_times = np.zeros(n)
         calls = [fmu._functions[f"fmi2{name}"] for name in ("SetReal", "DoStep", "GetReal")]
         failed = library.time_fmu(
             ctypes.c_void_p(fmu.component),
@@ -204,10 +204,10 @@ def as_fmu(library: ctypes.CDLL, path: Path, samples: Samples, folder: Path) -> 
             _pointer(values),
             ctypes.c_size_t(n),
             _pointer(u),
-            _pointer(own),
+            _pointer(fmu_times),
         )
         assert not failed
-        times = np.minimum(times, own)
+        times = np.minimum(times, fmu_times)
         fmu.terminate()
         fmu.freeInstance()
     return u, times
@@ -216,27 +216,27 @@ def as_fmu(library: ctypes.CDLL, path: Path, samples: Samples, folder: Path) -> 
 def against_python(name: str, controller: Controller) -> list[Row]:
     """Measure a method's step on the paper's problem in Python over that in C, and that of its FMU."""
     samples, u, python = in_python(controller, 3.5)
-    told = started(controller, 3.5)
+    started_loop = started(controller, 3.5)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        library = library_of(controller, told, folder)
+        library = library_of(controller, started_loop, folder)
         code = in_c(library, samples)
-        path = export_controller(controller, told, folder / "controller.fmu")
+        path = export_controller(controller, started_loop, folder / "controller.fmu")
         (folder / "unzipped").mkdir()
         fmu_u, fmu = as_fmu(library, path, samples, folder / "unzipped")
     assert max(np.abs(code.u - u).max(), np.abs(fmu_u - u).max()) <= 1e-8 * 3.5, name
     reference = float(np.median(python))
     return [
-        Row(f"{name}: Python / {kind}", own, reference, reference / own, _FASTER)
-        for kind, own in (("C", float(np.median(code.times))), ("FMU 2.0", float(np.median(fmu))))
+        Row(f"{name}: Python / {kind}", seconds, reference, reference / seconds, _FASTER)
+        for kind, seconds in (("C", float(np.median(code.times))), ("FMU 2.0", float(np.median(fmu))))
     ]
 
 
 def worst_case(name: str, controller: Controller) -> Row:
     """Measure the longest step over the median one, of random problems with active bounds."""
-    told = started(controller, TIGHT)
+    started_loop = started(controller, TIGHT)
     with tempfile.TemporaryDirectory() as text:
-        library = library_of(controller, told, Path(text))
+        library = library_of(controller, started_loop, Path(text))
         steps = in_c(library, random_samples(controller.horizon))
     limited = steps.active > 0
     worst, median = float(steps.times[limited].max()), float(np.median(steps.times[limited]))
@@ -247,21 +247,25 @@ def worst_case(name: str, controller: Controller) -> Row:
 
 def size(name: str, controller: Controller) -> bool:
     """Print how large a method's FMU for all platforms is, with its C code, and an instance in memory."""
-    told = started(controller, 3.5)
+    started_loop = started(controller, 3.5)
     with tempfile.TemporaryDirectory() as text:
-        path = export_controller(controller, told, Path(text) / "controller.fmu", platforms="all")
+        path = export_controller(controller, started_loop, Path(text) / "controller.fmu", platforms="all")
         fmu = path.stat().st_size / 1e3
         with zipfile.ZipFile(path) as archive:
             header = archive.read("sources/controller.h").decode()
-            own = sum(one.compress_size for one in archive.infolist() if one.filename.startswith("sources/"))
+            sources = sum(
+                member.compress_size
+                for member in archive.infolist()
+                if member.filename.startswith("sources/")
+            )
     numbers = next(int(line.split()[2]) for line in header.splitlines() if "define CONTROLLER_MEMORY" in line)
-    signals = 5 + len(told.measurements) + (1 + controller.horizon) * len(told.outputs)
+    signals = 5 + len(started_loop.measurements) + (1 + controller.horizon) * len(started_loop.outputs)
     # The committed state and the one that is tried, each with three counts, and the values of all variables.
     memory = (2 * (8 * numbers + 16) + 8 * signals) / 1e3
     verdict = "held" if fmu <= _LARGEST_FMU else "MISSED"
     print(
         f"{name}: FMU for five platforms {fmu:.1f} kB (<= {_LARGEST_FMU:g} {verdict}), of which its C code "
-        f"{own / 1e3:.1f} kB; memory of an instance {memory:.1f} kB"
+        f"{sources / 1e3:.1f} kB; memory of an instance {memory:.1f} kB"
     )
     return fmu <= _LARGEST_FMU
 

@@ -126,9 +126,9 @@ def measure(loops: dict[str, Callable[[], None]]) -> dict[str, FloatArray]:
 
 def ratio(what: str, above: FloatArray, below: FloatArray, limit: float, *, at_most: bool = False) -> Row:
     """Return the median over all turns of a ratio within one turn."""
-    own, against = (below, above) if not at_most else (above, below)
+    times, against = (below, above) if not at_most else (above, below)
     value = float(np.median(above / below))
-    return Row(what, float(np.median(own)), float(np.median(against)), value, limit, at_most)
+    return Row(what, float(np.median(times)), float(np.median(against)), value, limit, at_most)
 
 
 def main() -> bool:

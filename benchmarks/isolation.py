@@ -108,13 +108,13 @@ for _ in range(2):
 
 def openings(fmu: Path) -> dict[str, FloatArray]:
     """Return the times to start a process and to open an FMU in one [ms]: the first, and one after it."""
-    found: dict[str, list[list[float]]] = {"with_multiprocessing": [], "with_an_fmu": []}
+    opened: dict[str, list[list[float]]] = {"with_multiprocessing": [], "with_an_fmu": []}
     for _ in range(OPENINGS):
-        for way, times in found.items():
+        for way, times in opened.items():
             command = [sys.executable, "-c", OPENING, way, str(fmu)]
             done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
             times.append([float(line) for line in done.stdout.split()])
-    return {way: np.array(times) for way, times in found.items()}
+    return {way: np.array(times) for way, times in opened.items()}
 
 
 def held(what: str, value: float, limit: float) -> bool:
@@ -134,8 +134,10 @@ def main() -> bool:
     where = "on one core" if pinned else "on any core"
     for label, times in zip(("in this process", "isolated", "bare round trip"), steps, strict=True):
         print(f"step {label:<16} {np.median(times):6.2f} us  [{times.min():.2f}-{times.max():.2f}], {where}")
-    own, against = opened["with_an_fmu"], opened["with_multiprocessing"]
-    for when, ours, theirs in zip(("first", "second"), np.median(own, 0), np.median(against, 0), strict=True):
+    with_fmu, against = opened["with_an_fmu"], opened["with_multiprocessing"]
+    for when, ours, theirs in zip(
+        ("first", "second"), np.median(with_fmu, 0), np.median(against, 0), strict=True
+    ):
         print(f"{when:>6} FMU in a process {ours:6.1f} ms, process of multiprocessing {theirs:6.1f} ms")
     inside, isolated, bare = steps
     return all(
@@ -147,7 +149,7 @@ def main() -> bool:
             ),
             held(
                 "first FMU / multiprocessing's first process",
-                float(np.median(own[:, 0] / against[:, 0])),
+                float(np.median(with_fmu[:, 0] / against[:, 0])),
                 OPENING_LIMIT,
             ),
         ]

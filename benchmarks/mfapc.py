@@ -28,9 +28,9 @@ def against_transcription(form: str, limits: str) -> Row:
         "transcription": lambda sample: transcription.step(sample.y, sample.reference),
     }
     times = measure(steppers, controller.horizon)
-    own, other = float(np.median(times["step"])), float(np.median(times["transcription"]))
+    step, other = float(np.median(times["step"])), float(np.median(times["transcription"]))
     what = f"MFAPC-{form.upper()}, limits by {limits}: line by line / step"
-    return Row(what, own, other, other / own, 2.0)
+    return Row(what, step, other, other / step, 2.0)
 
 
 def main() -> bool:

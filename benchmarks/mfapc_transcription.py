@@ -114,9 +114,9 @@ class FullFormTranscription:
     def predict(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Return f and A, from rows over (dU, 1)."""
         n = self.n
-        one = np.eye(n + 1)[n]
-        dy = [one * change for change in self.dy[k - self.ly + 1 : k + 1]]
-        du = [*(one * change for change in self.du[k - self.lu + 1 : k]), *np.eye(n, n + 1)]
+        unit = np.eye(n + 1)[n]
+        dy = [unit * change for change in self.dy[k - self.ly + 1 : k + 1]]
+        du = [*(unit * change for change in self.du[k - self.lu + 1 : k]), *np.eye(n, n + 1)]
         for j in range(n):
             h = dy[j : j + self.ly][::-1] + du[j : j + self.lu][::-1]
             dy.append(self.phi[k + j] @ np.array(h))

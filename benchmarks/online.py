@@ -74,7 +74,7 @@ def compare(
 def main() -> bool:
     """Print the table; return whether every bound was held."""
     print_header()
-    one = pendulum.loop(pendulum.experiment(200), 3.5)
+    loop = pendulum.loop(pendulum.experiment(200), 3.5)
     tight = pendulum.loop(pendulum.experiment(200), 2.5)
     two = tanks.loop(400)
     wide = DeePC(
@@ -93,7 +93,7 @@ def main() -> bool:
             *compare(
                 "DeePC, N = 5, T = 200",
                 DeePC(**PRINTED),
-                one,
+                loop,
                 pendulum.Pendulum,
                 25.0,
             ),

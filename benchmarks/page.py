@@ -73,5 +73,5 @@ def _main_thread_seconds(page: Path, *, scripts: bool) -> float:
 def _task_seconds(browser: webdriver.Chrome, page: Path) -> float:
     browser.get("about:blank")
     browser.get(page.as_uri())
-    found = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-    return next(float(one["value"]) for one in found if one["name"] == "TaskDuration")
+    metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return next(float(metric["value"]) for metric in metrics if metric["name"] == "TaskDuration")

@@ -101,7 +101,7 @@ def main() -> bool:
         "regulation": listener,
     }
     times = measure(steppers, DeePC(**PRINTED).horizon)
-    own = float(np.median(times["printed"]))
+    printed = float(np.median(times["printed"]))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print(f"installing {', '.join(PEERS)} ...", file=sys.stderr)
@@ -109,7 +109,9 @@ def main() -> bool:
     rows = []
     for peer, answer in answers.items():
         median = float(np.median(answer["microseconds"]))
-        rows.append(Row(f"{peer} / DeePC step on the paper's problem", own, median, median / own, 200.0))
+        rows.append(
+            Row(f"{peer} / DeePC step on the paper's problem", printed, median, median / printed, 200.0)
+        )
     held = print_rows(rows)
     every = STEPS // _SOLVES
     ours = np.array(listener.u)[DeePC(**PRINTED).initial_length :: every, 0][:_SOLVES]

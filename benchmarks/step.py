@@ -189,5 +189,5 @@ def print_rows(rows: Sequence[Row]) -> bool:
 
 
 def _ratio(what: str, step: FloatArray, against: FloatArray, limit: float) -> Row:
-    own, other = float(np.median(step)), float(np.median(against))
-    return Row(what, own, other, other / own, limit)
+    ours, other = float(np.median(step)), float(np.median(against))
+    return Row(what, ours, other, other / ours, limit)

@@ -98,14 +98,14 @@ class Recording:
         """
         if not recordings:
             raise DataError("recordings: there are none to join")
-        shapes = {(one.u.shape[1], one.y.shape[1], one.measured.shape[1]) for one in recordings}
+        shapes = {(part.u.shape[1], part.y.shape[1], part.measured.shape[1]) for part in recordings}
         if len(shapes) > 1:
-            found = ", ".join(map(str, sorted(shapes)))
-            raise DataError(f"recordings: different numbers of (inputs, outputs, measurements): {found}")
-        times = {one.sampling_time for one in recordings}
+            numbers = ", ".join(map(str, sorted(shapes)))
+            raise DataError(f"recordings: different numbers of (inputs, outputs, measurements): {numbers}")
+        times = {recording.sampling_time for recording in recordings}
         if max(times) - min(times) > 1e-9 * max(times):
             raise DataError(f"recordings: different sampling times: {sorted(times)} s")
-        pieces = [piece for one in recordings for piece in one.pieces]
+        pieces = [piece for recording in recordings for piece in recording.pieces]
         first = list(accumulate(map(len, pieces)))
         u, y, measured = (np.vstack([getattr(p, name) for p in pieces]) for name in ("u", "y", "measured"))
         return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]))

@@ -127,15 +127,15 @@ class CSVFile:
         DataError
             There is no such column, or more than one.
         """
-        found = [i for i, name in enumerate(self.header) if name == header]
-        found = found or [i for i, name in enumerate(self.header) if split_unit(name)[0] == header]
-        if len(found) > 1:
-            names = ", ".join(f'"{self.header[i]}" (column {i + 1})' for i in found)
+        matches = [i for i, name in enumerate(self.header) if name == header]
+        matches = matches or [i for i, name in enumerate(self.header) if split_unit(name)[0] == header]
+        if len(matches) > 1:
+            names = ", ".join(f'"{self.header[i]}" (column {i + 1})' for i in matches)
             raise DataError(f'{self.path}: column "{header}" is there more than once: {names}')
-        if not found:
+        if not matches:
             known = filter(None, (split_unit(name)[0] for name in self.header))
             raise DataError(f'{self.path}: no column "{header}"; {did_you_mean(header, known)}{hint}')
-        return found[0], split_unit(self.header[found[0]])[1]
+        return matches[0], split_unit(self.header[matches[0]])[1]
 
     def cells(self, index: int) -> list[str]:
         """Return the cells of a column."""
@@ -188,13 +188,14 @@ def read_table(
     if not file.rows and not file.faults:
         faults.append(f"{path}: a header and no rows; needed: one row per sample")
     time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
-    found = dict(_found(file, columns, faults))
-    timed = dict(_found(file, [Column(_TIME, time_column)] if time_column else [], faults, _TIME_HINT)).get(0)
+    located = dict(_locate(file, columns, faults))
+    of_time = [Column(_TIME, time_column)] if time_column else []
+    timed = dict(_locate(file, of_time, faults, _TIME_HINT)).get(0)
     faults += file.faults
     dates = _dates(file, timed[0], faults) if timed else None
-    numeric = [index for index, _ in found.values()] + ([timed[0]] if timed and dates is None else [])
+    numeric = [index for index, _ in located.values()] + ([timed[0]] if timed and dates is None else [])
     comma = _decimal_comma(file, numeric, faults)
-    for i, (index, convert) in found.items():
+    for i, (index, convert) in located.items():
         values[:, i] = convert(_numbers(file, index, comma, faults))
     if timed:
         index, convert = timed
@@ -349,19 +350,19 @@ forget_cells = _last_parsed.cache_clear
 """Forget the cells of the file that was read last."""
 
 
-def _found(
+def _locate(
     file: CSVFile, columns: Sequence[Column], faults: list[str], hint: str = ""
 ) -> Iterator[tuple[int, tuple[int, Callable[[FloatArray], FloatArray]]]]:
     """Yield the number of each column that is there, its index in the file, and how its values convert."""
     for i, (variable, header, unit, difference) in enumerate(columns):
         try:
-            index, own = file.find(header, hint)
-            if own and unit and own != unit:
+            index, written = file.find(header, hint)
+            if written and unit and written != unit:
                 raise DataError(
                     f'{file.path}, column "{file.header[index]}": unit = "{unit}" contradicts its header'
                 )
             try:
-                unit = own or unit
+                unit = written or unit
                 convert = converter(variable, unit, difference=difference) if variable else _as_it_stands
                 yield i, (index, convert)
             except ConfigError as error:

@@ -71,7 +71,7 @@ def references_beyond_limits(
     y_min, y_max : array, shape (p,)
         Their limits, in their units.
     """
-    found = []
+    warnings = []
     for i, variable in enumerate(outputs if len(reference) else ()):
         lowest, highest = float(reference[:, i].min()), float(reference[:, i].max())
         ends = (("down", lowest, "lower", float(y_min[i])), ("up", highest, "upper", float(y_max[i])))
@@ -80,10 +80,10 @@ def references_beyond_limits(
             if beyond > _ROUNDED * max(abs(limit), abs(extreme)):
                 shown = variable.shown_in.from_unit(np.array([extreme, limit]))
                 far, near = (f"{value:.6g} {variable.shown_in.name}".strip() for value in shown)
-                found.append(
+                warnings.append(
                     f"the reference of {variable.name} goes {way} to {far}, its {which} limit is {near}"
                 )
-    return found
+    return warnings
 
 
 def judge_prediction(error: float, fitted: float) -> str:

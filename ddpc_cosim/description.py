@@ -95,7 +95,7 @@ class DescribedVariable:
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class PlantSignal:
     """One number of a plant: a scalar variable, or an element of an array.
 
     Parameters
@@ -129,7 +129,7 @@ class Declarations:
     __slots__ = ()
     variables: Mapping[str, DescribedVariable]
 
-    def signals(self, *causalities: str) -> Iterator[Signal]:
+    def signals(self, *causalities: str) -> Iterator[PlantSignal]:
         """Yield the numbers among the variables of some causalities; arrays element by element."""
         for variable in self.variables.values():
             if variable.causality in causalities and variable.is_numeric:
@@ -137,7 +137,7 @@ class Declarations:
                 for indices in product(*(range(1, size + 1) for size in variable.shape)):
                     yield element(variable, indices, starts)
 
-    def signal(self, name: str) -> Signal | None:
+    def signal(self, name: str) -> PlantSignal | None:
         """Return the number of a name, ``x`` or ``x[2]`` or ``x[2,1]``; None if there is none.
 
         An index is checked against sizes that are fixed; one that follows a structural parameter is checked
@@ -145,7 +145,7 @@ class Declarations:
         """
         variable = self.variables.get(name)
         if variable is not None:
-            return Signal(variable.variable, variable) if not variable.shape else None
+            return PlantSignal(variable.variable, variable) if not variable.shape else None
         match = _ELEMENT.fullmatch(name)
         variable = self.variables.get(match["array"]) if match else None
         if match is None or variable is None:
@@ -255,13 +255,13 @@ def describe(
 
 def element(
     variable: DescribedVariable, indices: tuple[int, ...], starts: Sequence[str] | None = None
-) -> Signal:
+) -> PlantSignal:
     """Return an element of an array variable, or the scalar itself for no indices.
 
     Whoever takes many has the array's start values split once.
     """
     if not indices:
-        return Signal(variable.variable, variable)
+        return PlantSignal(variable.variable, variable)
     name = f"{variable.name}[{','.join(map(str, indices))}]"
     start = variable.variable.start
     if starts is None:
@@ -269,7 +269,7 @@ def element(
     position = flat_index(indices, variable.shape)
     if len(starts) > 1 and position < len(starts):
         start = number(starts[position], start)
-    return Signal(replace(variable.variable, name=name, start=start), variable, indices)
+    return PlantSignal(replace(variable.variable, name=name, start=start), variable, indices)
 
 
 def flat_index(indices: tuple[int, ...], shape: tuple[int, ...]) -> int:
@@ -305,7 +305,7 @@ def elements_of(variable: DescribedVariable) -> str:
 _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 
 
-def default_signals(description: Declarations, causality: str) -> list[Signal]:
+def default_signals(description: Declarations, causality: str) -> list[PlantSignal]:
     """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are.
 
     Other names of the same variable are left out.
@@ -316,7 +316,7 @@ def default_signals(description: Declarations, causality: str) -> list[Signal]:
 
 def choose_signals(
     description: Declarations, label: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None
-) -> tuple[tuple[Signal, ...], tuple[Signal, ...]]:
+) -> tuple[tuple[PlantSignal, ...], tuple[PlantSignal, ...]]:
     """Return the numbers to drive and to read.
 
     Parameters
@@ -339,15 +339,15 @@ def choose_signals(
         if names is None:
             chosen.append(tuple(default_signals(description, what)))
             continue
-        found = []
+        chosen_names = []
         for name in names:
             fault = _fault(description, name, what, allowed)
             if fault:
                 faults.append(f"{label}: {fault}")
                 continue
-            found.append(name)
-        faults += [f'{label}: {what} "{name}" is chosen twice' for name in _repeated(found)]
-        signals = (description.signal(name) for name in found)
+            chosen_names.append(name)
+        faults += [f'{label}: {what} "{name}" is chosen twice' for name in _repeated(chosen_names)]
+        signals = (description.signal(name) for name in chosen_names)
         chosen.append(tuple(signal for signal in signals if signal is not None))
         if what == "input":
             faults += [f"{label}: {fault}" for fault in _driven_twice(chosen[-1])]
@@ -370,7 +370,7 @@ def _fault(description: Declarations, name: str, what: str, allowed: Sequence[st
     return f'no {what} "{name}"; {did_you_mean(name, known)}'
 
 
-def _driven_twice(inputs: Iterable[Signal]) -> Iterator[str]:
+def _driven_twice(inputs: Iterable[PlantSignal]) -> Iterator[str]:
     """Yield the inputs that are another name of one before them."""
     known: dict[tuple[str, tuple[int, ...]], str] = {}
     for signal in inputs:

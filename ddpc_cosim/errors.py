@@ -88,7 +88,7 @@ def is_of_the_machine(error: BaseException) -> bool:
     while cause is not None and cause not in causes:
         causes.append(cause)
         cause = cause.__cause__ or cause.__context__
-    return any(isinstance(one, FMUImportError | OSError | MemoryError | ImportError) for one in causes)
+    return any(isinstance(cause, FMUImportError | OSError | MemoryError | ImportError) for cause in causes)
 
 
 def is_of_usage(error: CosimError) -> bool:

@@ -487,8 +487,8 @@ def excited_together(entry: Any, name: str) -> object:
     if isinstance(entry, Signal):
         return name
     fields = declared_fields(type(entry)).values()
-    own = {one.name: getattr(entry, one.name) for one in fields if one.name not in ("low", "high", "unit")}
-    return type(entry), *own.items()
+    settings = {f.name: getattr(entry, f.name) for f in fields if f.name not in ("low", "high", "unit")}
+    return type(entry), *settings.items()
 
 
 def excitation_of(
@@ -534,11 +534,11 @@ def sampling_faults(excitation: Excitation, sampling_time: float) -> list[str]:
     """Return what is wrong where an excitation is made for another sampling time [s] than that of a loop."""
     if isinstance(excitation, MixedExcitation):
         return [fault for part, _ in excitation.parts for fault in sampling_faults(part, sampling_time)]
-    own = getattr(excitation, "sampling_time", None)
-    if not isinstance(own, Real) or math.isclose(own, sampling_time, rel_tol=1e-9):
+    time = getattr(excitation, "sampling_time", None)
+    if not isinstance(time, Real) or math.isclose(time, sampling_time, rel_tol=1e-9):
         return []
     name = type(excitation).__name__
-    return [f"excitation: {name} has sampling_time = {own:g} s, the loop {sampling_time:g} s; needed: one"]
+    return [f"excitation: {name} has sampling_time = {time:g} s, the loop {sampling_time:g} s; needed: one"]
 
 
 def _are_finite(values: object) -> bool:

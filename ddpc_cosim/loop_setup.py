@@ -25,7 +25,7 @@ from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
 MOST_STEPS = 100_000_000
-# Which stream of a seed serves whom; a new one gets a new number. From 3 on: those of the conditions.
+# Which stream of a seed serves which purpose; a new one gets a new number. From 3 on: conditions.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ddpc_cosim.errors import CosimWarning
 from ddpc_cosim.plugins import Plugin, installed, source_hash
-from ddpc_cosim.responses import Actuation, Response, Signal, StepTimes, WholeRun
+from ddpc_cosim.responses import Actuation, Response, SampledSignal, StepTimes, WholeRun
 from ddpc_cosim.variables import FloatArray
 
 _TRACE = "ddpc_cosim.trace.Trace"
@@ -151,8 +151,8 @@ def compute_installed_metrics(trace: Any) -> dict[str, float]:
     One that fails has no value, and neither costs others nor changes the trace; a warning tells why.
     """
     table = {}
-    found, _, faults = _third_parties()
-    for name, metric in found.items():
+    metrics, _, faults = _third_parties()
+    for name, metric in metrics.items():
         value = math.nan
         try:
             value = float(metric.compute(deepcopy(trace)))
@@ -190,16 +190,16 @@ class _ThirdParties(NamedTuple):
 
 @cache
 def _third_parties() -> _ThirdParties:
-    found: dict[str, Metric[Any]] = {}
+    metrics: dict[str, Metric[Any]] = {}
     modules, faults = {}, []
     for plugin in installed("metrics"):
         fault = plugin.error or _fault(plugin)
         if fault:
             faults.append(f"metric {plugin.name} ({plugin.package}): {fault}")
         else:
-            found[plugin.name] = plugin.value
+            metrics[plugin.name] = plugin.value
             modules[plugin.name] = plugin.target.partition(":")[0]
-    return _ThirdParties(found, modules, tuple(faults))
+    return _ThirdParties(metrics, modules, tuple(faults))
 
 
 def describe_metric(plugin: Plugin) -> tuple[str, bool]:
@@ -229,7 +229,7 @@ def _fault(plugin: Plugin) -> str:
 
 
 def _key(name: str, unit: str, samples: Any) -> str:
-    if not isinstance(samples, Signal):
+    if not isinstance(samples, SampledSignal):
         return f"{name} [{unit}]"
     shown = samples.variable.shown_in.name
     units = {"difference": shown, "value": shown, "difference.s": f"{shown}.s".lstrip(".")}

@@ -129,8 +129,8 @@ def _entry_points(kind: str) -> tuple[EntryPoint, ...]:
 @cache
 def _entry_points_of(kind: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     # An editable installation next to a wheel lists an entry point twice.
-    found = _every_entry_point(path).select(group=f"ddpc_cosim.{kind}")
-    return tuple({(entry.name, entry.value): entry for entry in found}.values())
+    entries = _every_entry_point(path).select(group=f"ddpc_cosim.{kind}")
+    return tuple({(entry.name, entry.value): entry for entry in entries}.values())
 
 
 def origin(kind: str, name: str) -> str:
@@ -155,8 +155,8 @@ def package_of(kind: str, name: str) -> str:
 
 def is_own(kind: str, name: str) -> bool:
     """Whether a plug-in, or what is named as ``module:attribute``, is of this project and not anyone's."""
-    own = f"ddpc-cosim {package_version()}"
-    entries = [entry for entry in _entry_points(kind) if _package(entry) == own]
+    package = f"ddpc-cosim {package_version()}"
+    entries = [entry for entry in _entry_points(kind) if _package(entry) == package]
     if ":" not in name:
         return any(entry.name == name for entry in entries)
     packages = {_top_module(entry.value) for entry in entries}
@@ -313,7 +313,7 @@ def _load_from_file(target: str, kind: str) -> Any:
         raise PluginError(f'{kind} "{target}" cannot be loaded: {type(error).__name__}: {error}') from error
     for part in attribute.split("."):
         if not hasattr(value, part):
-            names = ", ".join(one for one in vars(value) if not one.startswith("_"))
+            names = ", ".join(name for name in vars(value) if not name.startswith("_"))
             raise PluginError(f'"{file}" has no "{attribute}"; it has: {names or "nothing"}')
         value = getattr(value, part)
     return value
@@ -340,9 +340,9 @@ def _hint(error: BaseException, top: str) -> str:
     """Return why a module was not found, or not the one that was meant."""
     if isinstance(error, ModuleNotFoundError) and error.name == top:
         return f"; it is not installed, and not in {own_folder()}"
-    beside, found = Path(own_folder(), f"{top}.py"), getattr(sys.modules.get(top), "__file__", None)
-    if isinstance(error, AttributeError) and beside.is_file() and found and not beside.samefile(found):
-        return f"; {found} is installed and comes first: give {beside} another name"
+    beside, loaded = Path(own_folder(), f"{top}.py"), getattr(sys.modules.get(top), "__file__", None)
+    if isinstance(error, AttributeError) and beside.is_file() and loaded and not beside.samefile(loaded):
+        return f"; {loaded} is installed and comes first: give {beside} another name"
     return ""
 
 
@@ -380,12 +380,12 @@ def name_of(kind: str, value: Any, attribute: str = "") -> str:
 def _is_importable(target: str, value: Any) -> bool:
     """Whether another process finds an object under its name."""
     module_name, _, attribute = target.partition(":")
-    found: Any = sys.modules.get(module_name)
-    if module_name == "__main__" or getattr(found, "__spec__", None) is None:
+    reached: Any = sys.modules.get(module_name)
+    if module_name == "__main__" or getattr(reached, "__spec__", None) is None:
         return False
     for part in attribute.split("."):
-        found = getattr(found, part, None)
-    return found is value
+        reached = getattr(reached, part, None)
+    return reached is value
 
 
 def values_of(targets: Iterable[str]) -> dict[str, Any]:
@@ -416,10 +416,10 @@ def _top_module(target: str) -> str:
 
 def names_in(folder: str, targets: Iterable[str]) -> dict[str, str]:
     """Return names of files below a folder, by name, with paths relative to it."""
-    found = {target: _path_of(target) for target in targets if is_in_file(target)}
+    paths = {target: _path_of(target) for target in targets if is_in_file(target)}
     return {
         target: name_in_file(target, lambda _: path.relative_to(folder).as_posix())  # noqa: B023 - at once
-        for target, path in found.items()
+        for target, path in paths.items()
         if path.is_relative_to(folder)
     }
 
@@ -469,23 +469,23 @@ def _own_source(value: Any) -> list[str]:
     """
     parts, waiting, seen = list[str](), [value], {id(value)}
     while waiting:
-        one = waiting.pop()
-        if not isinstance(one, type | FunctionType):
-            parts.append(_content_of(one))
-            if type(one).__module__ != value.__module__:
+        entry = waiting.pop()
+        if not isinstance(entry, type | FunctionType):
+            parts.append(_content_of(entry))
+            if type(entry).__module__ != value.__module__:
                 continue
-            one = type(one)
+            entry = type(entry)
         try:
-            source = textwrap.dedent(inspect.getsource(one))
+            source = textwrap.dedent(inspect.getsource(entry))
             used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
         except (OSError, TypeError, SyntaxError):
-            source, used = _code_of(one), set[str]()
+            source, used = _code_of(entry), set[str]()
         parts.append(source)
-        around = vars(sys.modules[one.__module__]) if one.__module__ in sys.modules else {}
+        around = vars(sys.modules[entry.__module__]) if entry.__module__ in sys.modules else {}
         for name in sorted(used & around.keys()):
             other = around[name]
             is_code = isinstance(other, type | FunctionType)
-            is_own = other.__module__ == one.__module__ if is_code else not isinstance(other, ModuleType)
+            is_own = other.__module__ == entry.__module__ if is_code else not isinstance(other, ModuleType)
             if id(other) not in seen and is_own:
                 seen.add(id(other))
                 waiting.append(other)

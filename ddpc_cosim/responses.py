@@ -34,7 +34,7 @@ _OF_TRIMMED = 1.148
 
 
 @dataclass(frozen=True)
-class Signal:
+class SampledSignal:
     """A signal over the held samples.
 
     Parameters
@@ -56,7 +56,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Response(Signal):
+class Response(SampledSignal):
     """A controlled output over the held samples, and its reference, shape (K,).
 
     ``preview`` is that of :class:`ddpc_cosim.MetricSettings`, ``ahead`` how much of that the run's own
@@ -185,8 +185,8 @@ class EndWindow:
     @classmethod
     def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, settling: bool = False) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
-        own = error[rows]
-        return cls(len(own), abs(float(own.mean())), float(np.abs(own).mean()), step, settling)
+        window = error[rows]
+        return cls(len(window), abs(float(window.mean())), float(np.abs(window).mean()), step, settling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +306,7 @@ class Stretch:
     @property
     def anticipation_samples(self) -> float:
         """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
-        # What leaves earlier than its controller knew of the step drifts.
+        # An output that leaves before its controller knew of the step drifts.
         start = max(self.first - max(self.response.ahead, 1), 0)
         path = self._path(start)[: self.first - start + 1]
         at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)
@@ -320,7 +320,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Actuation(Signal):
+class Actuation(SampledSignal):
     """An input over the held samples."""
 
     @cached_property
@@ -372,11 +372,9 @@ class WholeRun:
     def cost(self) -> float:
         """Return the sum over the samples of all weighted squares, each in the unit of its signal."""
         squares = {
-            "outputs": {one.variable.name: (one.reference - one.values) ** 2 for one in self.responses},
-            "inputs": {one.variable.name: (one.values - one.rest) ** 2 for one in self.actuations},
-            "changes": {
-                one.variable.name: np.diff(one.values, prepend=one.rest) ** 2 for one in self.actuations
-            },
+            "outputs": {y.variable.name: (y.reference - y.values) ** 2 for y in self.responses},
+            "inputs": {u.variable.name: (u.values - u.rest) ** 2 for u in self.actuations},
+            "changes": {u.variable.name: np.diff(u.values, prepend=u.rest) ** 2 for u in self.actuations},
         }
         return sum(
             weight * _total(squares[kind][name])

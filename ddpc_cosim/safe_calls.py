@@ -92,7 +92,7 @@ def announce_call_of_plant(call: str, time: float) -> None:
 
 def make_plant(make: Callable[[], Plant]) -> Plant:
     """Make a plant, which may raise any CosimError itself."""
-    with _PlantCall(getattr(make, "__name__", repr(make)) + "()", own=CosimError):
+    with _PlantCall(getattr(make, "__name__", repr(make)) + "()", allowed=CosimError):
         return make()
 
 
@@ -104,7 +104,7 @@ def close_plant(plant: Plant) -> None:
 
 def reset_plant(plant: Plant, parameters: Mapping[str, ParameterValue] | None, t0: float) -> FloatArray:
     """Reset a plant, which may raise any CosimError itself, and return its outputs, shape (p,)."""
-    with _PlantCall(f"{type(plant).__name__}.reset", t0, own=CosimError):
+    with _PlantCall(f"{type(plant).__name__}.reset", t0, allowed=CosimError):
         y = np.asarray(plant.reset(parameters, t0))
         return plant_outputs(plant, "reset", y, t0)
 
@@ -118,7 +118,7 @@ def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray
 
 def outputs_of_plant_at(plant: Plant, u: FloatArray, time: float) -> FloatArray:
     """Return the outputs of a plant, shape (p,), at other inputs at ``time`` [s], which does not pass."""
-    with _PlantCall(f"{type(plant).__name__}.outputs_at", time, own=(ConfigError, FMUStepError)):
+    with _PlantCall(f"{type(plant).__name__}.outputs_at", time, allowed=(ConfigError, FMUStepError)):
         y = np.asarray(plant.outputs_at(u))
         return plant_outputs(plant, "outputs_at", y, time)
 
@@ -126,8 +126,8 @@ def outputs_of_plant_at(plant: Plant, u: FloatArray, time: float) -> FloatArray:
 def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray | None:
     """Return the derivatives of a plant's outputs by its inputs, shape (p, m); None: not known."""
     with _PlantCall(f"{type(plant).__name__}.feedthrough", time):
-        told = plant.feedthrough(u)
-        matrix = None if told is None else np.asarray(told, dtype=np.float64)
+        derivatives = plant.feedthrough(u)
+        matrix = None if derivatives is None else np.asarray(derivatives, dtype=np.float64)
     shape = (len(plant.outputs), len(plant.inputs))
     if matrix is not None and matrix.shape != shape:
         message = f"{type(plant).__name__}.feedthrough {_returned(matrix)}; needed: shape {shape}"
@@ -137,14 +137,14 @@ def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray
 
 def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue], time: float) -> None:
     """Change tunable parameters at ``time`` [s]; a plant that refuses them raises ConfigError."""
-    with _PlantCall(f"{type(plant).__name__}.set_parameters", time, own=(ConfigError, FMUStepError)):
+    with _PlantCall(f"{type(plant).__name__}.set_parameters", time, allowed=(ConfigError, FMUStepError)):
         plant.set_parameters(parameters)
 
 
 def plant_provenance(plant: Plant) -> dict[str, str]:
     """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
     try:
-        with _PlantCall("provenance", own=_ANY_FAULT):
+        with _PlantCall("provenance", allowed=_ANY_FAULT):
             return {recorded(name): recorded(value) for name, value in plant.provenance().items()}
     except _ANY_FAULT as error:
         return {"class": type(plant).__qualname__, "provenance": _raised(error)}
@@ -159,7 +159,7 @@ def require_finite(y_plant: FloatArray, plant: Plant) -> None:
 
 def make_controller(make: Callable[[], Controller], name: str) -> Controller:
     """Make a controller, which may raise any CosimError itself."""
-    with _ControllerCall(name, "constructor", own=CosimError):
+    with _ControllerCall(name, "constructor", allowed=CosimError):
         return make()
 
 
@@ -242,7 +242,7 @@ def settings_of_other(
 def start_controller(controller: Controller, loop: Loop) -> None:
     """Start a controller, which may raise any CosimError itself, and whose horizon has to stay."""
     horizon = horizon_of(controller)
-    with _ControllerCall(controller, "start", own=CosimError):
+    with _ControllerCall(controller, "start", allowed=CosimError):
         controller.start(loop)
     if (after := horizon_of(controller)) != horizon:
         who = f"{type(controller).__name__}.start"
@@ -251,7 +251,7 @@ def start_controller(controller: Controller, loop: Loop) -> None:
 
 def horizon_of(controller: Controller) -> int:
     """Return how many future references a controller wants, an integer >= 0."""
-    with _ControllerCall(controller, "horizon", own=CosimError):
+    with _ControllerCall(controller, "horizon", allowed=CosimError):
         horizon = controller.horizon
         if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
             what = f"{type(controller).__name__}.horizon = {horizon!r}"
@@ -268,7 +268,7 @@ def does_accept_missing(controller: Controller) -> bool:
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
     status, info = OK, dict[str, float]()
-    with _ControllerCall(controller, "step", own=ControllerError):
+    with _ControllerCall(controller, "step", allowed=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
         seconds = perf_counter() - started
@@ -328,7 +328,7 @@ def controller_knowledge(controller: Controller, loop: Loop) -> dict[str, str]:
 
 def controller_code(controller: Controller, loop: Loop) -> ControllerCode:
     """Return a started controller as C code; one that cannot be exported raises ConfigError."""
-    with _ControllerCall(controller, "c_code", own=CosimError):
+    with _ControllerCall(controller, "c_code", allowed=CosimError):
         return controller.c_code(loop)
 
 
@@ -344,7 +344,7 @@ def controller_warnings(controller: Controller) -> tuple[str, ...]:
         return tuple(map(recorded, controller.warnings()))
 
 
-_Own = type[BaseException] | tuple[type[BaseException], ...]
+_ErrorTypes = type[BaseException] | tuple[type[BaseException], ...]
 
 
 class _Calling(threading.local):
@@ -357,16 +357,16 @@ _calling = _Calling()
 
 
 class _Call(ABC):
-    """A call that is announced; what it raises, except its ``own`` errors, becomes one of this project.
+    """A call that is announced; what it raises, except the ``allowed`` errors, becomes one of this project.
 
     A class and not a generator: a step of the loop makes two. Within another call, as those of a coupled
     plant's parts are, it is not announced: the outer one says what the run is in.
     """
 
-    __slots__ = ("_is_within", "_name", "_own", "_time", "_who")
+    __slots__ = ("_allowed", "_is_within", "_name", "_time", "_who")
 
-    def __init__(self, who: str, name: str, time: float, own: _Own) -> None:
-        self._who, self._name, self._time, self._own = who, name, time, own
+    def __init__(self, who: str, name: str, time: float, allowed: _ErrorTypes) -> None:
+        self._who, self._name, self._time, self._allowed = who, name, time, allowed
 
     def __enter__(self) -> None:
         self._is_within, _calling.now = _calling.now, True
@@ -376,7 +376,7 @@ class _Call(ABC):
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         fault = None
         try:  # the words of an error are theirs too, and so belong to the call
-            if isinstance(error, _ANY_FAULT) and not isinstance(error, self._own):
+            if isinstance(error, _ANY_FAULT) and not isinstance(error, self._allowed):
                 fault = self._fault(error)
             elif error is not None:
                 recorded(error)
@@ -397,8 +397,8 @@ class _PlantCall(_Call):
 
     __slots__ = ("_words",)
 
-    def __init__(self, words: str, time: float = math.nan, own: _Own = FMUStepError) -> None:
-        super().__init__("plant", words.rpartition(".")[2], time, own)
+    def __init__(self, words: str, time: float = math.nan, allowed: _ErrorTypes = FMUStepError) -> None:
+        super().__init__("plant", words.rpartition(".")[2], time, allowed)
         self._words = words
 
     def _fault(self, error: BaseException) -> CosimError:
@@ -410,8 +410,8 @@ class _ControllerCall(_Call):
 
     __slots__ = ("_controller",)
 
-    def __init__(self, controller: Controller | str, name: str, own: _Own = ()) -> None:
-        super().__init__("controller", name, math.nan, own)
+    def __init__(self, controller: Controller | str, name: str, allowed: _ErrorTypes = ()) -> None:
+        super().__init__("controller", name, math.nan, allowed)
         self._controller = controller
 
     def _fault(self, error: BaseException) -> CosimError:

@@ -41,11 +41,11 @@ _NEEDED: dict[object, tuple[str, Callable[[object], bool]]] = {
 def type_faults(signal: Any, *kinds: object) -> list[str]:
     """Return what is wrong with the types of a signal's numbers, perhaps of fields of some types only."""
     return [
-        f"{one.name} = {getattr(signal, one.name)!r} is not possible; needed: {words}"
-        for one in fields(signal)
-        if (kind := _bare(one.type)) in (kinds or _NEEDED)
+        f"{field.name} = {getattr(signal, field.name)!r} is not possible; needed: {words}"
+        for field in fields(signal)
+        if (kind := _bare(field.type)) in (kinds or _NEEDED)
         for words, fits in (_NEEDED[kind],)
-        if not fits(getattr(signal, one.name))
+        if not fits(getattr(signal, field.name))
     ]
 
 
@@ -126,13 +126,15 @@ class Signal(Section, Reference):
 
     def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         """Return what is in the unit of the signal, in another one."""
-        found = dict[str, Any]()
-        for one in declared_fields(type(self)).values():
-            if one.info.unit == SIGNAL:
-                value = getattr(self, one.name)
+        converted = dict[str, Any]()
+        for field in declared_fields(type(self)).values():
+            if field.info.unit == SIGNAL:
+                value = getattr(self, field.name)
                 is_one = isinstance(value, Real)
-                found[one.name] = float(convert(value)) if is_one else tuple(float(convert(v)) for v in value)
-        return found
+                converted[field.name] = (
+                    float(convert(value)) if is_one else tuple(float(convert(v)) for v in value)
+                )
+        return converted
 
     def __repr__(self) -> str:
         return shown_without(self, () if self.unit else ("unit",))
@@ -145,7 +147,9 @@ def in_unit_of(variable: Variable, signal: Reference, *, difference: bool = Fals
 
 def shown_without(value: Any, names: Sequence[str]) -> str:
     """Return what ``repr`` shows of a dataclass object, without some of its fields."""
-    shown = (f"{one.name}={getattr(value, one.name)!r}" for one in fields(value) if one.name not in names)
+    shown = (
+        f"{field.name}={getattr(value, field.name)!r}" for field in fields(value) if field.name not in names
+    )
     return f"{type(value).__qualname__}({', '.join(shown)})"
 
 
@@ -392,7 +396,7 @@ class RecordedSignal(_OfFile):
 
 def by_kind(*classes: Any) -> dict[str, type[Any]]:
     """Return classes by their ``kind``."""
-    return {one.kind: one for one in classes}
+    return {class_.kind: class_ for class_ in classes}
 
 
 REFERENCES = by_kind(Constant, Steps, Interpolated, Ramp, Sine, SignalFromFile)

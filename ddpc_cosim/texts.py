@@ -68,7 +68,7 @@ def alike(text: str) -> str:
 
 
 class DeepTablesError(ValueError):
-    """A TOML file has tables within tables beyond measure."""
+    """A TOML file has tables that are nested too deeply."""
 
     def __init__(self) -> None:
         super().__init__(f"tables within tables; allowed: {DEEPEST} levels")
@@ -92,7 +92,7 @@ def toml_tables(text: str) -> dict[str, Any]:
     tables = tomllib.loads(text)
     level: list[Any] = [tables]
     for _ in range(DEEPEST):
-        entries = (entry for one in level for entry in (one.values() if isinstance(one, dict) else one))
+        entries = (entry for item in level for entry in (item.values() if isinstance(item, dict) else item))
         level = [entry for entry in entries if isinstance(entry, dict | list)]
     if level:
         raise DeepTablesError

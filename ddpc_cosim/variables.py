@@ -42,15 +42,15 @@ def unit_shown(variable: Variable, unit: str) -> DisplayUnit:
     ConfigError
         It is neither the variable's unit nor its display unit, and not a unit of the same quantity.
     """
-    own = variable.unit
-    if unit in ("", own) or {unit, own} == {"", "1"}:
-        return DisplayUnit(own)
+    unit_of_variable = variable.unit
+    if unit in ("", unit_of_variable) or {unit, unit_of_variable} == {"", "1"}:
+        return DisplayUnit(unit_of_variable)
     declared = () if variable.display_unit is None else (variable.display_unit,)
-    known = conversions(own, declared)
+    known = conversions(unit_of_variable, declared)
     try:
-        return known[unit] if unit in known else display_unit(own, unit)
+        return known[unit] if unit in known else display_unit(unit_of_variable, unit)
     except ValueError as error:
-        allowed = dict.fromkeys((own or "1", *(shown.name for shown in declared), *known))
+        allowed = dict.fromkeys((unit_of_variable or "1", *(shown.name for shown in declared), *known))
         units = ", ".join(name for name in allowed if name)
         raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {units}') from error
 

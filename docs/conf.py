@@ -101,8 +101,8 @@ def _warn_of_what_is_loaded(app: Sphinx, exception: Exception | None) -> None:
     """Warn of every page and style that asks for something from the network when it is viewed."""
     for path in sorted(Path(app.outdir).rglob("*")):
         if exception is None and path.suffix in {".html", ".css"}:
-            for found in _LOADED.finditer(path.read_text(encoding="utf-8")):
-                _log.warning("%s loads from the network: %s", path.relative_to(app.outdir), found[0])
+            for match in _LOADED.finditer(path.read_text(encoding="utf-8")):
+                _log.warning("%s loads from the network: %s", path.relative_to(app.outdir), match[0])
 
 
 def _add_settings(_app: Sphinx, what: str, _name: str, obj: Any, _options: object, lines: list[str]) -> None:

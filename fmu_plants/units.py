@@ -43,7 +43,7 @@ class SIUnit:
 
     def __pow__(self, power: int) -> "SIUnit":
         """Return an integer power of the unit."""
-        exponents = {name: power * own for name, own in self.exponents.items() if power}
+        exponents = {name: power * exponent for name, exponent in self.exponents.items() if power}
         return SIUnit(exponents, self.factor**power)
 
 
@@ -145,8 +145,8 @@ class DisplayUnit:
 
 def usual_display_units(unit: str) -> dict[str, DisplayUnit]:
     """Return the display units that values in a unit usually have, by name."""
-    own = _SPELLINGS.get(unit, unit)
-    shown = {name: display_unit(own, name) for name in _USUALLY_SHOWN_IN.get(own, ())}
+    spelling = _SPELLINGS.get(unit, unit)
+    shown = {name: display_unit(spelling, name) for name in _USUALLY_SHOWN_IN.get(spelling, ())}
     spelt = {other: replace(shown[name], name=other) for other, name in _SPELLINGS.items() if name in shown}
     return spelt | shown
 
@@ -160,12 +160,12 @@ def display_unit(unit: str, shown_in: str) -> DisplayUnit:
     ValueError
         One of them is not known, or they are units of different quantities.
     """
-    own, shown = (parse_unit(_SPELLINGS.get(name, name)) for name in (unit, shown_in))
-    if own.exponents != shown.exponents:
+    given, shown = (parse_unit(_SPELLINGS.get(name, name)) for name in (unit, shown_in))
+    if given.exponents != shown.exponents:
         raise ValueError(f"{unit!r} and {shown_in!r} are units of different quantities")
     scale = _as_written(shown.factor)
-    offset = (_as_written(own.offset) - _as_written(shown.offset)) / scale
-    return DisplayUnit(shown_in, float(_as_written(own.factor) / scale), float(offset))
+    offset = (_as_written(given.offset) - _as_written(shown.offset)) / scale
+    return DisplayUnit(shown_in, float(_as_written(given.factor) / scale), float(offset))
 
 
 def _as_written(number: float) -> Fraction:

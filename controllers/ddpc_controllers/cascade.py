@@ -17,7 +17,7 @@ from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, inner_step
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
-from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_prior_info
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
 
@@ -170,9 +170,9 @@ class Cascade(Wrapper):
         return slopes
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         inner, outer = self.inner.knowledge(self._inner_loop(loop)), self.outer.knowledge(self._outer_loop)
-        return joined_knowledge({"inner": inner, "outer": outer})
+        return joined_prior_info({"inner": inner, "outer": outer})
 
     @property
     def _held(self) -> Sequence[Controller]:

@@ -22,13 +22,13 @@ def check_settings_and(controller: Controller, faults_between: Callable[[], Sequ
         raise ConfigError(faults)
 
 
-def knowing(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
+def prior_info(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
     """Return the facts of :meth:`ddpc_cosim.Controller.knowledge`.
 
     Parameters
     ----------
     plant : str
-        What a controller was told of the plant beforehand.
+        The prior information of a controller about the plant.
     *signals : sequence of Variable
         What it uses of outputs and measurements; one that is both is named once.
     """

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddpc_controllers.export.code import Code, inner_step
-from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_prior_info
 from ddpc_cosim import (
     Action,
     Bounds,
@@ -116,18 +116,18 @@ class Decentralised(Wrapper):
                 of_measurements=code.sizes(share.measurements),
                 of_inputs=code.sizes(share.inputs),
             )
-            seen, own = code.memory(np.zeros(2 * p + q + horizon * p)), code.memory(np.zeros(m))
+            seen, inputs = code.memory(np.zeros(2 * p + q + horizon * p)), code.memory(np.zeros(m))
             body += (
                 f"const Sample of_{group} = sample_of_group(&{group}, sample, {seen});\n"
-                f"{step}(memory, &of_{group}, {own}, told);\n"
-                f"place_inputs(&{group}, {own}, u);\n"
+                f"{step}(memory, &of_{group}, {inputs}, told);\n"
+                f"place_inputs(&{group}, {inputs}, u);\n"
             )
         return code.step(body)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         parts = zip(self.groups, self._shares, strict=True)
-        return joined_knowledge(
+        return joined_prior_info(
             {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}
         )
 

@@ -20,7 +20,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, knowing
+from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, prior_info
 from ddpc_controllers.data.hankel import (
     ONE,
     WindowLayout,
@@ -38,7 +38,7 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
-from ddpc_controllers.optimisation.qp import NOTHING_TOLD, Law, action, make_law, predicted_ends
+from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
@@ -161,7 +161,7 @@ class BehavioralTracking(ScaledSignals):
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
         problem.ask(y=-p)
-        self._ends, self._told = predicted_ends(loop.outputs), NOTHING_TOLD
+        self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
         self._learner = self._make_learner(problem, data, loop, recording)
         self._law = self._make_law(problem, data)
         changes_answer = np.isfinite(self._rates).any() or self._learner is not None
@@ -185,7 +185,7 @@ class BehavioralTracking(ScaledSignals):
             parameters.append("y_ini", self._known(y) if missing else y)
         if learner:
             learner.learn(u=u, y=y)
-        return action(u, fault or missing, self._told)
+        return action(u, fault or missing, self._info)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the window and the law."""
@@ -217,8 +217,8 @@ class BehavioralTracking(ScaledSignals):
         return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        return knowing("nothing", loop.outputs)
+        """Return the signals it uses, and its prior information about the plant."""
+        return prior_info("nothing", loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
@@ -232,11 +232,11 @@ class BehavioralTracking(ScaledSignals):
     def _make_learner(
         self, problem: Problem, data: FloatArray, loop: Loop, recording: Recording
     ) -> Learner | None:
-        """Return what lets the data follow the plant, if anything does."""
+        """Return the online data that follow the plant, if any."""
         return None
 
     def _make_law(self, problem: Problem, data: FloatArray) -> Law:
-        """Return what solves the problem online."""
+        """Return the law that solves the problem online."""
         online = self._learner.data if self._learner else None
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
 
@@ -347,11 +347,11 @@ class BehavioralTracking(ScaledSignals):
         parameters.fill("r", reference)
         answer, fault = self._law.solve(parameters.array)
         if answer is None:
-            self._told = NOTHING_TOLD
+            self._info = NO_INFO
             return parameters.window("u_ini")[-1].copy(), fault
         planned, forecast = self._planned
         self._forecast = answer[planned:forecast]
-        self._told = self._law.info(self._ends, answer, self._scales.y)
+        self._info = self._law.info(self._ends, answer, self._scales.y)
         if self._applies_answer:
             return answer[:planned], fault
         plan = answer[:planned].reshape(-1, self._inputs)
@@ -364,7 +364,7 @@ class BehavioralTracking(ScaledSignals):
 
     def _continue_plan(self) -> tuple[FloatArray, str]:
         """Return the next input of the present plan."""
-        self._forecast, self._told = self._forecast[self._outputs :], NOTHING_TOLD
+        self._forecast, self._info = self._forecast[self._outputs :], NO_INFO
         return self._pending.pop(0), ""
 
     def _known(self, y: FloatArray) -> FloatArray:
@@ -465,8 +465,8 @@ class DeePC(OnlineSettings, BehavioralTracking):
         if self.regulariser == "projection":
             problem.regularise({"y": self.lambda_g})
         elif self.regulariser == "equilibrium":
-            own = {"y": _UNEXPLAINED * self.lambda_g}
-            problem.regularise_about(self._rows_at_rest(loop), self.lambda_g, own)
+            weights = {"y": _UNEXPLAINED * self.lambda_g}
+            problem.regularise_about(self._rows_at_rest(loop), self.lambda_g, weights)
         elif self.regulariser == "ridge":
             problem.regularise(self.lambda_g)
         return problem

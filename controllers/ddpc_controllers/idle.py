@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_cosim import FloatArray, Loop, Sample
@@ -12,7 +12,7 @@ from ddpc_cosim import FloatArray, Loop, Sample
 
 @dataclass(kw_only=True)
 class Idle(Exportable):
-    """Inputs at rest, whatever is measured or asked for."""
+    """Inputs at rest, independent of measurements and references."""
 
     accepts_missing: ClassVar[bool] = True
 
@@ -25,8 +25,8 @@ class Idle(Exportable):
         return self._u.copy()
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return that it uses nothing."""
-        return knowing("nothing")
+        """Return that it uses no signals."""
+        return prior_info("nothing")
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the inputs at rest."""

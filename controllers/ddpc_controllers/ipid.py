@@ -23,7 +23,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, knowing, per_signal
+from ddpc_controllers.checks import check_settings_and, per_signal, prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
@@ -209,8 +209,8 @@ class IPID(Exportable):
         return code.step(f"{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        return knowing("a rough gain of the inputs, alpha", loop.outputs)
+        """Return the signals it uses, and its prior information about the plant."""
+        return prior_info("a rough gain of the inputs, alpha", loop.outputs)
 
     def _observe(self, y: FloatArray) -> None:
         if self._started:

@@ -23,7 +23,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, knowing
+from ddpc_controllers.checks import check_settings_and, prior_info
 from ddpc_controllers.data.dictionaries import (
     Dictionary,
     ThinPlate,
@@ -316,7 +316,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         u, fault = self._predictor.solve(np.concatenate([z, self._disturbance]), self._u, sample.reference)
         self._predicted = self._model.a @ z + self._model.b @ u + self._disturbance
         self._u = u.copy()
-        return action(u, fault or missing, self._predictor.told)
+        return action(u, fault or missing, self._predictor.info)
 
     def _state(self, sample: Sample, missing: bool) -> FloatArray:
         """Return z, and learn from what was predicted of it."""
@@ -347,8 +347,8 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         predicted = np.zeros(n) if self._predicted is None else self._predicted
         z = code.memory([*np.zeros(n), *self._disturbance])
         windows = self._lifted.windows
-        own = [begun], self._u, z, f"{z} + {n}", predicted, *windows, np.zeros(p), np.zeros(size)
-        held = code.held("KoopmanMemory", *own)
+        values = [begun], self._u, z, f"{z} + {n}", predicted, *windows, np.zeros(p), np.zeros(size)
+        held = code.held("KoopmanMemory", *values)
         return code.step(f"{held}step_koopman(&{koopman}, &held, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
@@ -360,8 +360,8 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         return skipped + memory_of(self.dictionary) + lifted + inputs + 1
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        return knowing("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
+        """Return the signals it uses, and its prior information about the plant."""
+        return prior_info("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""

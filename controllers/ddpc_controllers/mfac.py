@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy  # whose parts are imported when they are first used
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -38,7 +38,7 @@ from ddpc_controllers.optimisation.qp import (
     COST,
     StepInfo,
     action,
-    ends_told,
+    ends_info,
     predicted_ends,
 )
 from ddpc_controllers.scaling import ScaledSignals
@@ -131,12 +131,12 @@ class ModelFreeAdaptive(ScaledSignals):
             self._model.resume(loop.recording.pieces[-1])
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         if not isinstance(self.initial_gradient, float | int):
-            told = "its gradient to begin with"
+            prior = "its gradient to begin with"
         else:
-            told = "the sign of its gain" if self.assume_sign else "a first gain"
-        return knowing(f"{told}, by initial_gradient", loop.outputs)
+            prior = "the sign of its gain" if self.assume_sign else "a first gain"
+        return prior_info(f"{prior}, by initial_gradient", loop.outputs)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""
@@ -153,12 +153,12 @@ class ModelFreeAdaptive(ScaledSignals):
         hessian += self._ridge
         changes = self._unlimited(a, error, hessian, slope)
         u, fault = self._limits.apply(self._u, changes, hessian, slope)  # (21)
-        told = StepInfo(self._told, (a, error, sample.reference, self._limits.plan, self._u, u))
+        info = StepInfo(self._info, (a, error, sample.reference, self._limits.plan, self._u, u))
         self._model.apply(list(map(sub, u, self._u)))
         self._u = u
-        return action(np.array(u), fault, told)
+        return action(np.array(u), fault, info)
 
-    def _told(
+    def _info(
         self,
         a: FloatArray,
         error: FloatArray,
@@ -174,7 +174,7 @@ class ModelFreeAdaptive(ScaledSignals):
         return {
             COST: float(missed @ missed + self.lambda_u * changes @ changes),
             ACTIVE_BOUNDS: float(self._limits.reached(before, changes.reshape(-1, len(u)))),
-            **ends_told(self._ends, reference.reshape(-1) - missed, self._unit),
+            **ends_info(self._ends, reference.reshape(-1) - missed, self._unit),
         }
 
     def _unlimited(
@@ -218,7 +218,9 @@ class ModelFreeAdaptive(ScaledSignals):
         )
         gradients = np.array([row.value for row in self._model.gradients])
         known, y, changes = self._model.signals
-        theta, past = ([getattr(one, name) for one in self._forecasts] for name in ("theta", "newest_first"))
+        theta, past = (
+            [getattr(forecast, name) for forecast in self._forecasts] for name in ("theta", "newest_first")
+        )
         sizes = [gradients.shape[1], gradients.size * self.horizon, rows * (n + 1), rows, n * n, n * n, n, n]
         held = code.held(
             "AdaptiveMemory",

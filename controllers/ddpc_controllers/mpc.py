@@ -22,7 +22,7 @@ from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import ParameterVector
-from ddpc_controllers.optimisation.qp import NOTHING_TOLD, make_law, predicted_ends
+from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import Scales
 from ddpc_cosim import (
@@ -69,7 +69,7 @@ class Predictor:
 
     Attributes
     ----------
-    told : mapping of str to float
+    info : mapping of str to float
         What there is to say of the last solution.
 
     Raises
@@ -92,7 +92,7 @@ class Predictor:
         n, m, p = len(a), b.shape[1], len(c)
         self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
         self._inputs, self._unit = m, scales.y
-        self._ends, self.told = predicted_ends(scales.loop.outputs), NOTHING_TOLD
+        self._ends, self.info = predicted_ends(scales.loop.outputs), NO_INFO
         self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
         self._parameters = ParameterVector({"x": (1, n), "u_ini": (1, m), "r": (settings.horizon, p)})
         past = {"x": n, "u_ini": m}
@@ -130,10 +130,10 @@ class Predictor:
         self._parameters.fill("r", reference)
         answer, fault = self._law.solve(self._parameters.array)
         if answer is None:
-            self.told = NOTHING_TOLD
+            self.info = NO_INFO
             return last_input.copy(), fault
         u = answer[: self._inputs]
-        self.told = self._law.info(self._ends, answer, self._unit)
+        self.info = self._law.info(self._ends, answer, self._unit)
         self._limits.hold_changes(u[np.newaxis], last_input)
         return u, fault
 
@@ -192,7 +192,7 @@ class MPC(TrackingSettings, ModelBased):
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""
         u, fault = self._predictor.solve(self._observer.state, self._u, sample.reference)
-        self._told = self._predictor.told
+        self._info = self._predictor.info
         return u, fault
 
     def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, knowing, weight_matrices
+from ddpc_controllers.checks import check_settings_and, prior_info, weight_matrices
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.plant_equations import (
@@ -190,7 +190,7 @@ class NMPC(Exportable):
             return self._u, HELD_WITHOUT_REFERENCE, 0.0
         states, inputs = self._guess
         known = (self._filter.x, self._filter.d, self._u, sample.reference.ravel(), np.array([sample.time]))
-        found = self._solver(
+        solution = self._solver(
             x0=np.concatenate([states.ravel("F"), inputs.ravel("F")]),
             p=np.concatenate(known),
             lbx=self._low,
@@ -198,18 +198,18 @@ class NMPC(Exportable):
             lbg=0.0,
             ubg=0.0,
         )
-        told = self._solver.stats()
-        if told["success"]:
-            plan = found["x"].full()[:, 0]
+        statistics = self._solver.stats()
+        if statistics["success"]:
+            plan = solution["x"].full()[:, 0]
             states = plan[: states.size].reshape(states.shape, order="F")
             inputs = plan[states.size :].reshape(inputs.shape, order="F")
             self._planned, status = True, ""
         else:
             instead = "the next inputs of the last plan are applied" if self._planned else LAST_HELD
-            status = f"{told['return_status']}: {instead}"
+            status = f"{statistics['return_status']}: {instead}"
         u = np.clip(inputs[:, 0] * self._u_unit, self._u_min, self._u_max)
         self._guess = _next(states), _next(inputs)
-        return u, status, float(told["iter_count"])
+        return u, status, float(statistics["iter_count"])
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the number of states, and of Runge-Kutta steps in a sample."""
@@ -230,8 +230,8 @@ class NMPC(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""
-        told = f"everything: the equations, parameters and start values of {self._named}"
-        return knowing(told, loop.outputs, loop.measurements)
+        prior = f"everything: the equations, parameters and start values of {self._named}"
+        return prior_info(prior, loop.outputs, loop.measurements)
 
 
 def _next(plan: FloatArray) -> FloatArray:

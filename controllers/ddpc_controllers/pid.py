@@ -28,7 +28,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.identification import fit_arx
@@ -162,7 +162,7 @@ def _tune_one(recording: Recording, output: int, chosen: int, wanted: float) -> 
     h, (model, sampled) = recording.sampling_time, fit_second_order(recording, output, chosen)
     first = time = wanted or _rule_of_thumb(model, h)
     gains = simc(model, h, time)
-    found = margin = sensitivity(sampled, gains, h)
+    reached = margin = sensitivity(sampled, gains, h)
     while margin > _LARGEST_SENSITIVITY:
         time *= _SLOWER
         if time > _SLOWEST * first:
@@ -171,9 +171,9 @@ def _tune_one(recording: Recording, output: int, chosen: int, wanted: float) -> 
         slower = simc(model, h, time)
         margin = sensitivity(sampled, slower, h)
         if not wanted:
-            gains, found = slower, margin
+            gains, reached = slower, margin
     if wanted or isfinite(time):
-        return *gains, found, time
+        return *gains, reached, time
     raise DataError(
         f"PID: no closed_loop_time up to {_SLOWEST * first:.4g} s gives the loop of output {output} and "
         f"input {chosen} a maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: "
@@ -292,7 +292,10 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
 
 def _delayed(recording: Recording, output: int, samples: int) -> Recording:
     """Return one output, and inputs that come later; before, they were as at the beginning of each piece."""
-    u = [np.vstack([np.repeat(one.u[:1], samples, axis=0), one.u])[: len(one)] for one in recording.pieces]
+    u = [
+        np.vstack([np.repeat(piece.u[:1], samples, axis=0), piece.u])[: len(piece)]
+        for piece in recording.pieces
+    ]
     y = recording.y[:, [output]]
     return replace(recording, u=np.vstack(u), y=y, measured=y)
 
@@ -418,9 +421,9 @@ class PID(Exportable):
         return fewest_test_samples(inputs) if self.tuning == "step-test" else 0
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        told = "nothing" if self.uses_recording else "gains, as they are set"
-        return knowing(told, loop.outputs)
+        """Return the signals it uses, and its prior information about the plant."""
+        prior = "nothing" if self.uses_recording else "gains, as they are set"
+        return prior_info(prior, loop.outputs)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
@@ -463,14 +466,14 @@ class PID(Exportable):
         return [
             f"PID: closed_loop_time = {self.closed_loop_time:g} s "
             + (
-                f"gives loop {i} a maximum sensitivity of {found:.3g}"
-                if isfinite(found)
+                f"gives loop {i} a maximum sensitivity of {sensitivity:.3g}"
+                if isfinite(sensitivity)
                 else f"makes loop {i} unstable"
             )
             + f" on the model of the recording; a maximum sensitivity of {_LARGEST_SENSITIVITY} takes "
             + (f"closed_loop_time = {time:.4g} s" if isfinite(time) else "gains tuned by hand")
-            for i, (found, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
-            if float(f"{found:.3g}") > _LARGEST_SENSITIVITY
+            for i, (sensitivity, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
+            if float(f"{sensitivity:.3g}") > _LARGEST_SENSITIVITY
         ]
 
     def _hold(self, why: str) -> Action:

@@ -186,19 +186,19 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
     u = _sizes(loop.inputs, bounds.u_min, bounds.u_max, by, faults)
     y = _sizes(loop.outputs, bounds.y_min, bounds.y_max, by, faults)
     low, high = (np.array([getattr(v, end) for v in loop.measurements]) for end in ("min", "max"))
-    own = _sizes(loop.measurements, low, high, by, [])
+    scales = _sizes(loop.measurements, low, high, by, [])
     if faults:
         raise ConfigError(faults)
     # An output has one scale, also where it is measured.
     of_outputs = {variable.name: scale for variable, scale in zip(loop.outputs, y, strict=True)}
-    measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, own, strict=True)]
+    measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, scales, strict=True)]
     return u, y, np.array(measured)
 
 
 def _sizes(
     variables: tuple[Variable, ...], low: FloatArray, high: FloatArray, by: ScaleBy, faults: list[str]
 ) -> FloatArray:
-    """Return what each variable is measured by; add those that cannot be scaled to the faults."""
+    """Return the scale of each variable; add those that cannot be scaled to the faults."""
     nominal = np.array([abs(variable.nominal) for variable in variables])
     half = np.full(len(variables), np.inf)
     np.subtract(high / 2, low / 2, out=half, where=np.isfinite(low) & np.isfinite(high))

@@ -71,8 +71,8 @@ class SPC(BehavioralTracking):
         # DeePC has no price on gamma_2, nor a preference among setpoints alike in cost.
         alike = self.artificial_setpoint and inputs > outputs
         if other is DeePC and not beta_2 and not alike:
-            own = {"regulariser": "projection", "slack": False, "affine_sum": "none"}
-            return shared | own | {"lambda_g": min(windows * beta_3, heavy)}
+            fixed = {"regulariser": "projection", "slack": False, "affine_sum": "none"}
+            return shared | fixed | {"lambda_g": min(windows * beta_3, heavy)}
         return None
 
     def _betas(self) -> tuple[float, float]:

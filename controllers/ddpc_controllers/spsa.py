@@ -20,7 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import knowing, per_signal
+from ddpc_controllers.checks import per_signal, prior_info
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import HELD
@@ -99,14 +99,15 @@ class SPSA(Exportable):
         streams = deepcopy(loop.rng).spawn(p)
         gains = np.column_stack([per_signal("kp", self.kp, p), per_signal("kd", self.kd, p)])
         self._pairs = [
-            _Pair(self, own, loop.sampling_time, stream) for own, stream in zip(gains, streams, strict=True)
+            _Pair(self, of_pair, loop.sampling_time, stream)
+            for of_pair, stream in zip(gains, streams, strict=True)
         ]
         self._rest = resting_input(loop)
         self._u, self._bounds = self._rest.copy(), loop.bounds
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        return knowing("gains to begin with", loop.outputs)
+        """Return the signals it uses, and its prior information about the plant."""
+        return prior_info("gains to begin with", loop.outputs)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return PID control with the gains that are being tried."""

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, knowing
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, prior_info
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, c_lift, embed, memory_of
 from ddpc_controllers.data.hankel import (
     StateWindow,
@@ -28,7 +28,7 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
-from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action, make_law, predicted_ends
+from ddpc_controllers.optimisation.qp import NO_INFO, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import (
@@ -112,7 +112,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         lifted = self._lift(states)
         m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
         self._inputs, self._outputs = m, p
-        self._ends, self._told = predicted_ends(loop.outputs), NOTHING_TOLD
+        self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
         self._parameters = ParameterVector(
             {
                 "z_ini": (past, lifted.shape[1]),
@@ -163,18 +163,18 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._append_state(self._last.take(measured))
         if self._learner:
             self._learn(self._learner, u, y, bool(missing))
-        return action(u, fault or missing, self._told)
+        return action(u, fault or missing, self._info)
 
     def _solve(self) -> tuple[FloatArray, FloatArray, str]:
         """Return the inputs to apply now, the outputs predicted of now, and what is not as it should be."""
         parameters = self._parameters
         answer, fault = self._law.solve(parameters.array)
         if answer is None:
-            self._told = NOTHING_TOLD
+            self._info = NO_INFO
             return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), fault
         m, p = self._inputs, self._outputs
         u, forecast = answer[:m], answer[m : m + p]
-        self._told = self._law.info(self._ends, answer, self._scales.y)
+        self._info = self._law.info(self._ends, answer, self._scales.y)
         if self._learner:
             self._learner.add_dither(u)
             self._limits.hold(u)
@@ -185,7 +185,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._parameters.append("z_ini", self._lift(self._states.append(state)))
 
     def _learn(self, learner: Learner, u: FloatArray, y: FloatArray, missing: bool) -> None:
-        """Learn a sample, unless what it holds stands in for a measurement, also as the past of its state."""
+        """Learn a sample, unless it, or the past of its state, has substitutes for missing measurements."""
         self._unlearned = self._memory + 1 if missing else max(self._unlearned - 1, 0)
         z = self._parameters.window("z_ini")[-1]
         learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
@@ -219,10 +219,10 @@ class WKPC(OnlineSettings, ScaledSignals):
             code.memory(self._parameters.array),
             np.cumsum([0, *self._parameters.sizes.values()]),
         )
-        own = [f"{parameters} + {place}" for place in first[:4]]
+        parts = [f"{parameters} + {place}" for place in first[:4]]
         of_now = [np.zeros(size) for size in (m + p, n, p, law.memory)]
         held = code.held(
-            "WkpcMemory", *own, [self._resting], self._states.newest_first, self._last.newest, *of_now
+            "WkpcMemory", *parts, [self._resting], self._states.newest_first, self._last.newest, *of_now
         )
         return code.step(f"{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
 
@@ -232,8 +232,8 @@ class WKPC(OnlineSettings, ScaledSignals):
         return memory_of(self.dictionary) + least_samples(self.initial_length + self.horizon + order, inputs)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
-        return knowing("nothing", loop.outputs, loop.measurements)
+        """Return the signals it uses, and its prior information about the plant."""
+        return prior_info("nothing", loop.outputs, loop.measurements)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""

@@ -54,11 +54,11 @@ class Inner:
         return Action(action.u, status, StepInfo(self._named, (action.info,)))
 
     def diagnostics(self) -> dict[str, float]:
-        """Return what it says about its data or model."""
+        """Return its diagnostics of data or model."""
         return self._named(self.controller.diagnostics())
 
     def warnings(self) -> list[str]:
-        """Return what it says against its data or model."""
+        """Return its warnings about data or model."""
         return [f"{self._name}: {text}" if self._name else text for text in self.controller.warnings()]
 
     def _named(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -67,7 +67,7 @@ class Inner:
 
 
 def is_fallback(action: Action) -> bool:
-    """Whether an action's inputs are not those that its controller wanted."""
+    """Whether an action's inputs differ from those that its controller wanted."""
     return action.status != OK
 
 
@@ -83,14 +83,14 @@ def _merged(*infos: Mapping[str, float]) -> dict[str, float]:
     return {name: value for info in infos for name, value in info.items()}
 
 
-def joined_knowledge(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return what several controllers go by, with their names where they differ; only facts that all tell."""
-    told = {}
+def joined_prior_info(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return the facts that all controllers state, with their names where these differ."""
+    common = {}
     for fact in sorted(set.intersection(*(set(facts) for facts in parts.values()))):
         words = {name: facts[fact] for name, facts in parts.items()}
         named = " and ".join(f"{text} ({name})" for name, text in words.items())
-        told[fact] = named if len(set(words.values())) > 1 else next(iter(words.values()))
-    return told
+        common[fact] = named if len(set(words.values())) > 1 else next(iter(words.values()))
+    return common
 
 
 def controller_faults(who: str, **given: object) -> list[str]:
@@ -127,11 +127,11 @@ class Wrapper(Exportable):
         return all(controller.accepts_missing for controller in self._held)
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return what all controllers say about their data or models."""
+        """Return the diagnostics of all controllers."""
         return {name: value for inner in self._running for name, value in inner.diagnostics().items()}
 
     def warnings(self) -> Sequence[str]:
-        """Return what all controllers say against their data or models."""
+        """Return the warnings of all controllers."""
         return [text for inner in self._running for text in inner.warnings()]
 
     @abstractmethod
@@ -158,7 +158,7 @@ class SingleWrapper(Wrapper):
         return (self.controller,)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         return self.controller.knowledge(loop)
 
     def _start_inside(self, loop: Loop) -> None:

@@ -31,7 +31,7 @@ def compared(folders: tuple[Path, Path], absolute: float, relative: float) -> tu
 
 
 def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]:
-    """Return the cases by what they are, whatever settings or code they ran with.
+    """Return the cases by problem, controller, scenario and seed, whatever settings or code they ran with.
 
     Raises
     ------
@@ -47,11 +47,11 @@ def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]
     }
 
 
-def _difference(one: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:
+def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:
     """Return in words the worst difference of two cases, but for computation times; empty: they agree."""
-    if one.outcome is not other.outcome:
-        return f"{one.outcome}, other {other.outcome}"
-    first, second = one.trace(), other.trace()
+    if case.outcome is not other.outcome:
+        return f"{case.outcome}, other {other.outcome}"
+    first, second = case.trace(), other.trace()
     if len(first) != len(second):
         return f"{len(first)} samples, other {len(second)}"
     unequal = [
@@ -61,7 +61,7 @@ def _difference(one: CaseResult, other: CaseResult, absolute: float, relative: f
         k = unequal[0]
         return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
     for kind in (_signals, _metrics):  # what is computed from signals that differ says no more
-        ours, theirs = kind(one, first), kind(other, second)
+        ours, theirs = kind(case, first), kind(other, second)
         if single := sorted(ours.keys() ^ theirs.keys()):
             return f"{', '.join(single)}: only in one of them"
         parts = {name: _excess(values, theirs[name], absolute, relative) for name, values in ours.items()}
@@ -86,13 +86,13 @@ def _metrics(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
     }
 
 
-def _excess(one: FloatArray, other: FloatArray, absolute: float, relative: float) -> tuple[float, int]:
-    """Return the largest difference in parts of what is allowed, and where; what both lack agrees."""
+def _excess(values: FloatArray, other: FloatArray, absolute: float, relative: float) -> tuple[float, int]:
+    """Return the largest difference relative to the allowed one, and where; values that both lack agree."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        sizes = np.maximum(np.abs(one), np.abs(other))
+        sizes = np.maximum(np.abs(values), np.abs(other))
         allowed = np.maximum(absolute, relative * np.where(np.isfinite(sizes), sizes, 0.0))
-        parts = np.where(one == other, 0.0, np.abs(one - other) / allowed)
-    parts[np.isnan(one) & np.isnan(other)] = 0.0
+        parts = np.where(values == other, 0.0, np.abs(values - other) / allowed)
+    parts[np.isnan(values) & np.isnan(other)] = 0.0
     parts = np.nan_to_num(parts, nan=np.inf, posinf=np.inf)
     k = int(np.argmax(parts)) if parts.size else 0
     return (float(parts[k]), k) if parts.size else (0.0, 0)

@@ -11,12 +11,12 @@ _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
 def exit_code(request: KeyboardInterrupt) -> int:
-    """Return what a command exits with after a request to end."""
+    """Return the exit code of a command after a request to end."""
     return _TERMINATED if isinstance(request, Terminated) else _INTERRUPTED
 
 
 @contextmanager
-def told_when_asked_to_end() -> Iterator[None]:
+def reporting_requests_to_end() -> Iterator[None]:
     """Exit with a message where a request to end is raised, or what it has led to."""
     try:
         yield

@@ -114,7 +114,7 @@ def _next_step(inspection: Inspected) -> str:
 
 
 def _facts(inspection: Inspected) -> Iterator[tuple[str, str]]:
-    """Yield what there is to say in one line each."""
+    """Yield the facts that take one line each."""
     if isinstance(inspection, SystemInspection):
         yield from _system_facts(inspection)
         return
@@ -153,19 +153,17 @@ def _system_sections(inspection: SystemInspection) -> Iterator[_Section]:
         (
             part.name,
             part.source,
-            f"FMI {one.description.fmi_version}" if one.description else "",
+            f"FMI {inspected.description.fmi_version}" if inspected.description else "",
             part.fmi_type
             if part.fmi_type != "auto"
-            else _joined(one.interfaces[0].kind for _ in one.interfaces[:1]),
+            else _joined(inspected.interfaces[0].kind for _ in inspected.interfaces[:1]),
             _joined(f"{name} = {value}" for name, value in {**part.start, **part.parameters}.items()),
         )
         for part in system.parts
-        if (one := inspection.parts.get(part.name)) is not None
+        if (inspected := inspection.parts.get(part.name)) is not None
     ]
     yield _Section("Parts", "part", ("name", "file", "fmi", "runs for", "values set"), parts)
-    rows = [
-        (one.source, one.target, _units(one), _scale(one.factor, one.offset)) for one in system.connections
-    ]
+    rows = [(c.source, c.target, _units(c), _scale(c.factor, c.offset)) for c in system.connections]
     yield _Section("Connections", "connection", ("from", "to", "unit", "more"), rows)
     yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
     yield _Section("Outputs", "output", _HEADINGS, [_row(v) for v in inspection.outputs])

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import click
 
 from ddpc_cosim.cli import commands
-from ddpc_cosim.cli.ending import told_when_asked_to_end
+from ddpc_cosim.cli.ending import reporting_requests_to_end
 from ddpc_cosim.cli.output import harmless, open_streams, say
 from ddpc_cosim.errors import CosimError, is_of_usage
 from ddpc_cosim.processes.requests import orderly_end
@@ -73,15 +73,15 @@ class _Group(click.Group):
 
     def make_context(self, *arguments: Any, **more: Any) -> click.Context:
         """Parse what stands before the command."""
-        with told_when_asked_to_end(), _harmless_usage_errors():
+        with reporting_requests_to_end(), _harmless_usage_errors():
             return super().make_context(*arguments, **more)
 
     def invoke(self, context: click.Context) -> NoReturn:
         """Run the command, and exit with the code that it returns; none is 0."""
-        with told_when_asked_to_end():
+        with reporting_requests_to_end():
             open_streams()
             try:
-                with told_when_asked_to_end(), _harmless_usage_errors():
+                with reporting_requests_to_end(), _harmless_usage_errors():
                     sys.exit(super().invoke(context))
             except CosimError as error:
                 for fault in getattr(error, "faults", (str(error),)):

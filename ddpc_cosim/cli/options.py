@@ -86,7 +86,7 @@ def option(default: Any, help: str = "", *, name: str = "", **more: Any) -> Any:
 
 
 def _type_of(kind: Any) -> Any:
-    """Return what click converts a value by: of ``X | None`` and ``tuple[X, ...]`` it is that of X."""
+    """Return the type by which click converts a value: of ``X | None`` and ``tuple[X, ...]`` that of X."""
     if get_origin(kind) is Literal:
         return Choice(get_args(kind))
     inner = next((part for part in get_args(kind) if part not in (NoneType, ...)), None)

@@ -1,4 +1,4 @@
-"""What commands print: nothing acts on a terminal, where no word is broken; nobody has to read it."""
+"""What commands print: no text controls a terminal or breaks a word; a reader that has gone is no error."""
 
 import io
 import os
@@ -39,7 +39,7 @@ class _WhileRead(io.FileIO):
 
 
 def open_streams() -> None:
-    """Let this process print whatever, wherever, and whether or not someone reads it."""
+    """Let this process print any text to any encoding, also where its reader has gone."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # closed by whoever started this process
@@ -91,7 +91,7 @@ def clipped(text: str, longest: int) -> str:
 
 
 def screen() -> "Console":
-    """Return what prints tables: where neither a terminal nor $COLUMNS limits them, as wide as they are."""
+    """Return a console for tables: as wide as they are where neither terminal nor $COLUMNS limits them."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)

@@ -101,7 +101,7 @@ class LineProgress:
         self._stream.flush()
 
     def __call__(self, what: str) -> None:
-        """Take note of what is being done now."""
+        """Note the current activity."""
         self._text = what
 
     def prepare(self, what: str) -> None:
@@ -176,7 +176,7 @@ class TerminalProgress:
 
         console = Console(stderr=True)
         self._progress = WithCases(progress.SpinnerColumn(), since, what, console=console, transient=True)
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self._task = self._progress.add_task(printable(text), total=None, simulated=0.0, rate="")
 
     def __enter__(self) -> Self:
@@ -216,14 +216,14 @@ class TerminalProgress:
         rate, simulated = self._cases.rate, self._cases.simulated
         self._progress.update(self._task, advance=1, description="running", simulated=simulated, rate=rate)
         kind = result.outcome, alike(result.reason)
-        if result.reason and kind not in self._told:
-            self._told.add(kind)
+        if result.reason and kind not in self._reported:
+            self._reported.add(kind)
             line = printable(f"{case.name}: {result.outcome}: {result.reason}")
             self._progress.console.print(line, markup=False)
 
 
 def display(text: str) -> LineProgress | TerminalProgress:
-    """Return what shows long work on stderr, at first what a text says."""
+    """Return a display of long work on stderr, with a text to begin with."""
     return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
 
 
@@ -240,9 +240,9 @@ def _without_output() -> Iterator[None]:
     _flush()
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         try:
-            own = os.dup(_STDOUT)
+            saved = os.dup(_STDOUT)
         except OSError:  # closed by whoever started this process
-            own = -1
+            saved = -1
         os.dup2(nowhere.fileno(), _STDOUT)
         try:
             with redirect_stdout(nowhere):
@@ -250,9 +250,9 @@ def _without_output() -> Iterator[None]:
         finally:
             with suppress(OSError, ValueError):  # whatever was done to them
                 _flush()
-            if own >= 0:
-                os.dup2(own, _STDOUT)
-            os.close(own if own >= 0 else _STDOUT)
+            if saved >= 0:
+                os.dup2(saved, _STDOUT)
+            os.close(saved if saved >= 0 else _STDOUT)
 
 
 def _flush() -> None:

@@ -24,12 +24,12 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     console = screen()
     ran = [problem for problem in results.problems() if problem.cases]
     for problem in results.problems():
-        told = findings_of(problem.study, problem.cases)
-        for remark in told.remarks:
+        findings = findings_of(problem.study, problem.cases)
+        for remark in findings.remarks:
             style = "bold red" if remark.is_failure else ""
             console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
         if problem.cases:
-            console.print(summary_table(problem, console, told), crop=False)
+            console.print(summary_table(problem, console, findings), crop=False)
         if several := len(results.variants(problem.study.name)):
             noun = "variant" if several == 1 else "variants"
             console.print(
@@ -81,10 +81,10 @@ def print_damaged(results: StudyResults) -> bool:
 
 def _print_warnings(results: StudyResults) -> None:
     """Print what spoke against data and models before the loops were closed, each text once."""
-    found: dict[str, tuple[str, list[CaseResult]]] = {}
+    by_words: dict[str, tuple[str, list[CaseResult]]] = {}
     for (_, text), cases in results.warnings().items():
-        found.setdefault(alike(text), (text, []))[1].extend(cases)
-    for text, all_cases in found.values():
+        by_words.setdefault(alike(text), (text, []))[1].extend(cases)
+    for text, all_cases in by_words.values():
         controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
         count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
         say(f"warning: {controllers} ({count}): {text}", err=True)

@@ -63,19 +63,21 @@ class _Column:
     cell: Callable[[Sequence[CaseResult]], Cell]
 
 
-def summary_table(results: StudyResults, console: Console, told: Findings | None = None) -> RenderableType:
+def summary_table(
+    results: StudyResults, console: Console, findings: Findings | None = None
+) -> RenderableType:
     """Return the controllers of one problem, the best first; of sweeps the best settings below their own.
 
     Of one scenario there is a column per metric, of several a column per scenario. Those that do not fit the
-    console are named below. ``told`` is what the results show, where the caller knows it.
+    console are named below. ``findings`` is what the results show, where the caller knows it.
     """
-    told = told or findings_of(results.study, results.cases)
+    findings = findings or findings_of(results.study, results.cases)
     keys = tuple(dict.fromkeys(key for case in results.cases for key in case.metrics))
     scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
-    rows = _rows(results, told)
+    rows = _rows(results, findings)
     columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
     columns = [column for column in columns if column.words != _RANGE or _has_values(column, rows)]
-    lines = _lines(results, told, rows)
+    lines = _lines(results, findings, rows)
     further: list[str] = []
     if len(scenarios) > 1:
         of_metrics = _metric_columns(results, keys)
@@ -119,11 +121,14 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
     ranks, cases = found.ranks, found.cases
     rows = [_Row(cases[name][0].label, cases[name]) for name in ranks.ranks]
     average = _Column(
-        Heading("average rank"), "", "", lambda own: Cell(f"{ranks.ranks[own[0].controller]:.3g}")
+        Heading("average rank"), "", "", lambda cases: Cell(f"{ranks.ranks[cases[0].controller]:.3g}")
     )
     of_problems = zip(problems, found.standings, strict=True)
-    columns = [average, *(_problem_column(one.study.name, own) for one, own in of_problems if own.order)]
-    labels = {name: own[0].label for name, own in cases.items()}
+    columns = [
+        average,
+        *(_problem_column(problem.study.name, ranking) for problem, ranking in of_problems if ranking.order),
+    ]
+    labels = {name: results[0].label for name, results in cases.items()}
     differ = ranks_differ_clause(ranks, lambda rank: f"{rank:.2g}")
     lines = [
         f"ranks in {ranks.problems} problems, and their average: {differ}",
@@ -132,12 +137,12 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
     return _set("All problems", rows, columns, lines, console)
 
 
-def _problem_column(name: str, found: Standings) -> _Column:
-    standing = {one.controller: one for one in found.order}
+def _problem_column(name: str, of_problem: Standings) -> _Column:
+    ranks = {rank.controller: rank for rank in of_problem.order}
 
     def cell(cases: Sequence[CaseResult]) -> Cell:
-        own = standing.get(cases[0].controller)
-        return Cell(_rank_words(own.text) or _MISSING, failed=own.failed > 0) if own else Cell(_MISSING)
+        rank = ranks.get(cases[0].controller)
+        return Cell(_rank_words(rank.text) or _MISSING, failed=rank.failed > 0) if rank else Cell(_MISSING)
 
     label = clipped(name, _LONGEST_LABEL)
     return _Column(Heading(label), label, "", cell)
@@ -176,7 +181,7 @@ def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int) -> Ta
 
 
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
-    """Return the columns of one scenario, those first that tell most."""
+    """Return the columns of one scenario, the most informative first."""
     ranked, step = headline(keys), _metric_column(_STEP)
     names = [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
@@ -186,9 +191,9 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
         for key in ranked
         if several
     ]
-    own, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
-    # Of several outputs the ranges would leave no room for anything else.
-    return [*own, *spreads, *more] if len(ranked) == 1 else [*own, *more, *spreads]
+    columns, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
+    # With several outputs the ranges would leave no room for anything else.
+    return [*columns, *spreads, *more] if len(ranked) == 1 else [*columns, *more, *spreads]
 
 
 def _metric_column(key: str) -> _Column:
@@ -212,11 +217,11 @@ def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Colum
 
 def _scenario_column(results: StudyResults, name: str, key: str, detail: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Cell:
-        own = [case for case in cases if case.scenario == name]
-        failed = sum(case.failed for case in own)
-        if own and failed == len(own):
+        of_scenario = [case for case in cases if case.scenario == name]
+        failed = sum(case.failed for case in of_scenario)
+        if of_scenario and failed == len(of_scenario):
             return Cell("failed", failed=True)
-        return Cell(_number(summed(own, key), 3) + "*" * (failed > 0), failed=failed > 0)
+        return Cell(_number(summed(of_scenario, key), 3) + "*" * (failed > 0), failed=failed > 0)
 
     label = _scenario_label(results, name)
     words = " ".join(filter(None, (label, detail.partition(" [")[0])))
@@ -244,23 +249,23 @@ def _title(results: StudyResults) -> str:
     return f"{clipped(results.study.title or results.study.name, _LONGEST_TITLE)} ({over})"
 
 
-def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row]) -> list[str]:
-    """Return what is to be said below the table."""
-    lines, found = [], told.standings
+def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> list[str]:
+    """Return the lines below the table."""
+    lines, ranking = [], findings.standings
     keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
     what = dict.fromkeys(
         f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
     )
     several = len({case.seed for case in results.cases}) > 1
-    how = "what the seeds tell apart" if found.tested else "the medians" if several else "this value"
-    values = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
+    how = "what the seeds tell apart" if ranking.tested else "the medians" if several else "this value"
+    values = ["medians"] * several + ([f"ranked by {how}"] if ranking.is_ranked else [])
     if what:
         lines.append(": ".join(filter(None, (", ".join(what), "; ".join(values)))))
-    if told.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
+    if findings.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
         names = {row.cases[0].controller: _in_a_sentence(row.name) for row in rows if row.cases}
         scenarios = {case.scenario: _scenario_label(results, case.scenario) for case in results.cases}
-        lines.append(lead_clause(told, names, scenarios).striptags())
-    if found.seeds > 1 and (few := too_few_seeds_clause(found.compared.values())):
+        lines.append(lead_clause(findings, names, scenarios).striptags())
+    if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
@@ -273,45 +278,45 @@ def _in_a_sentence(label: str) -> str:
     return f'"{text}"' if "," in text else text
 
 
-def _rows(results: StudyResults, told: Findings) -> list[_Row]:
+def _rows(results: StudyResults, findings: Findings) -> list[_Row]:
     """Return the rows in the order of the standings, after each controller the best of its sweeps."""
-    found = told.standings
+    ranking = findings.standings
     groups: dict[str, list[CaseResult]] = {}
     for case in results.cases:
         groups.setdefault(case.controller, []).append(case)
     sections, points = results.study.controllers, results.study.report.reference_points
-    key = next(iter(found.keys), "")
+    key = next(iter(ranking.keys), "")
     base = {name: sections[name].variant_of or name for name in groups}
     labels = [cases[0].label for cases in groups.values()]
-    standing = {one.controller: one for one in found.order}
+    standing = {place.controller: place for place in ranking.order}
     rows = []
 
     def rank(name: str) -> str | None:
-        if not (found.order or found.left_out):  # none competes
+        if not (ranking.order or ranking.left_out):  # none competes
             return None
-        return _rank_words(standing[name].text) if name in standing else _MISSING if found.is_ranked else ""
+        return _rank_words(standing[name].text) if name in standing else _MISSING if ranking.is_ranked else ""
 
-    for family in dict.fromkeys([*(one.controller for one in found.order), *base.values()]):
-        own = groups.get(family, [])
-        if own:
-            label = own[0].label
+    for family in dict.fromkeys([*(place.controller for place in ranking.order), *base.values()]):
+        unvaried = groups.get(family, [])
+        if unvaried:
+            label = unvaried[0].label
             label += f" ({family})" if labels.count(label) > 1 else ""
-            leads = told.is_sure and family in told.leaders
-            rows.append(_Row(marked(label, family, points), own, rank(family), leads))
+            leads = findings.is_sure and family in findings.leaders
+            rows.append(_Row(marked(label, family, points), unvaried, rank(family), leads))
         variants = [groups[name] for name in groups if base[name] == family != name]
         variants.sort(key=lambda cases: _place(cases, key))
         shown = variants[:_VARIANTS_SHOWN]
-        rows += [_Row(_indented(cases, own), cases, rank(cases[0].controller)) for cases in shown]
+        rows += [_Row(_indented(cases, unvaried), cases, rank(cases[0].controller)) for cases in shown]
         rest = len(variants) - _VARIANTS_SHOWN
         if rest > 0:
             rows.append(_Row(f"  and {rest} {'setting' if rest == 1 else 'settings'} more"))
     return rows
 
 
-def _indented(variant: Sequence[CaseResult], own: Sequence[CaseResult]) -> str:
+def _indented(variant: Sequence[CaseResult], unvaried: Sequence[CaseResult]) -> str:
     """Return the label of a variant; below its controller, whose name it begins with, only what differs."""
     label = variant[0].label
-    return "  " + label.removeprefix(f"{own[0].label}, ") if own else label
+    return "  " + label.removeprefix(f"{unvaried[0].label}, ") if unvaried else label
 
 
 def _place(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:

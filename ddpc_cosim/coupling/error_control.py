@@ -63,15 +63,15 @@ class ErrorControl:
         FMUStepError
             The shortest steps are too long, or a part fails.
         """
-        ending = None
+        end_error = None
         for i in range(intervals):
             done = 0.0  # a sum of halves of halves, which is exact
             while done < 1.0:
-                if ending is not None:
-                    raise ending
+                if end_error is not None:
+                    raise end_error
                 length = 0.5**self.halvings
                 now, allowed = time + (i + done) * h, self._tolerance * length / intervals
-                error, ending = self._try(length * h, now)
+                error, end_error = self._try(length * h, now)
                 if error <= allowed:
                     done += length
                     is_easy = error <= _CAUTION * allowed / 2.0**self._order
@@ -88,9 +88,9 @@ class ErrorControl:
                         StepStatus.ERROR,
                         now,
                     )
-            if ending is not None and i + 1 < intervals:
-                raise ending
-        return ending
+            if end_error is not None and i + 1 < intervals:
+                raise end_error
+        return end_error
 
     def _try(self, h: float, now: float) -> tuple[float, FMUStepError | None]:
         """Do a step in halves; return its estimated error, and what a part says that has come to its end.
@@ -103,19 +103,19 @@ class ErrorControl:
             self._exchange.advance(h, now)
             whole = self._exchange.values[self._watched]
             self._restore(now)
-            ending = self._exchange.advance(h / 2.0, now)
-            if ending is not None:
-                raise ending
-            ending = self._exchange.advance(h / 2.0, now + h / 2.0)
+            end_error = self._exchange.advance(h / 2.0, now)
+            if end_error is not None:
+                raise end_error
+            end_error = self._exchange.advance(h / 2.0, now + h / 2.0)
         except FMUStepError as error:
             if error.status is not StepStatus.DISCARD:
                 raise
             return np.inf, None
         halves = self._exchange.values[self._watched]
         if not np.isfinite(halves).all():  # the run has diverged
-            return 0.0, ending
+            return 0.0, end_error
         difference = np.abs(halves - whole) / np.maximum(self._nominal, np.abs(halves))
-        return float(np.max(difference, initial=0.0)) / (2.0**self._order - 1.0), ending
+        return float(np.max(difference, initial=0.0)) / (2.0**self._order - 1.0), end_error
 
     def _restore(self, now: float) -> None:
         for part, state in zip(self._parts, self._saved, strict=True):

@@ -20,7 +20,7 @@ from ddpc_cosim.safe_calls import announce_call_of_plant, calls_are_watched
 from ddpc_cosim.variables import FloatArray
 
 
-class Update(NamedTuple):
+class OutputUpdate(NamedTuple):
     """Parts, and what brings their outputs up to date at a time [s] without a step."""
 
     parts: tuple[Part, ...]
@@ -32,7 +32,7 @@ class Interval(NamedTuple):
 
     due: Sequence[Part]
     ended: Sequence[Part]
-    updates: Sequence[Update]
+    updates: Sequence[OutputUpdate]
 
 
 class Exchange:
@@ -78,9 +78,9 @@ class Exchange:
         self.values, self._slopes, self._stamps, self._before = self.memory
         self._inputs = len(wiring.inputs)
         self._driven = self.values[: self._inputs]
-        self._calls = [(p, p.plant.step, p.sources, p.span, p.size, p.is_scaled) for p in parts]
+        self._calls = [(p, p.plant.step, p.sources, p.output_slice, p.size, p.is_scaled) for p in parts]
         self._arriving: dict[Part, FloatArray] = {}
-        self._agenda: Sequence[Interval] = ()
+        self._schedule: Sequence[Interval] = ()
         self._is_plain, self._is_simple, self._is_watched = True, True, False
         driven, outputs = range(graph.outputs.start), graph.outputs
         self._all = self._updates(range(len(wiring.values)))
@@ -96,24 +96,24 @@ class Exchange:
         self._stamps[:] = time
         self.values[:] = self._wiring.start
 
-    def arrange(self, intervals: int) -> None:
+    def schedule(self, intervals: int) -> None:
         """Lay down what happens in so many intervals, after which all parts are at one instant."""
         self._is_watched = calls_are_watched()
         is_multirate = any(part.every > 1 for part in self._parts)
         after_steps = self._all_after_steps if is_multirate else self._needed(self._all_after_steps)
         self._is_plain = not self._linear and all(part.every * part.substeps == 1 for part in self._parts)
         if not is_multirate:
-            self._agenda = [Interval(self._parts, self._parts, after_steps)] * intervals
+            self._schedule = [Interval(self._parts, self._parts, after_steps)] * intervals
             self._is_simple = self._is_plain and not after_steps
             return
         self._is_simple = False
-        agenda = []
+        schedule = []
         for i in range(intervals):
             due = [part for part in self._parts if i % part.every == 0]
             ended = [part for part in self._parts if (i + 1) % part.every == 0]
             updates = [update for update in after_steps if set(update.parts) <= set(ended)]
-            agenda.append(Interval(due, ended, updates))
-        self._agenda = agenda
+            schedule.append(Interval(due, ended, updates))
+        self._schedule = schedule
 
     def refresh(self, time: float, changed: Iterable[Part] = ()) -> None:
         """Bring outputs up to date at a time [s] at which all parts are; all of parts that changed."""
@@ -124,7 +124,7 @@ class Exchange:
             update.do(time)
 
     def set_inputs(self, u: FloatArray, time: float) -> None:
-        """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
+        """Set the system's inputs, shape (m,), at a time [s]; update what depends on them without delay."""
         driven = self._driven
         if len(u) != self._inputs:
             raise ConfigError(f"u has {len(u)} numbers; needed: {self._inputs}")
@@ -147,10 +147,10 @@ class Exchange:
         what the part says about it is returned.
         """
         if self._is_simple:
-            for i in range(len(self._agenda)):
+            for i in range(len(self._schedule)):
                 self._hold(h, time + i * h)
             return None
-        for i, interval in enumerate(self._agenda):
+        for i, interval in enumerate(self._schedule):
             if self._is_plain:
                 self._hold(h, time + i * h)
             else:
@@ -162,7 +162,7 @@ class Exchange:
                 for update in interval.updates:
                     update.do(end)
             except FMUStepError as error:
-                if error.status is StepStatus.TERMINATED and i + 1 == len(self._agenda):
+                if error.status is StepStatus.TERMINATED and i + 1 == len(self._schedule):
                     return error
                 raise
             if self._linear:
@@ -177,7 +177,7 @@ class Exchange:
         y: FloatArray | None = None
         is_watched = self._is_watched
         try:
-            for part, step, sources, span, size, is_scaled in self._calls:
+            for part, step, sources, output_slice, size, is_scaled in self._calls:
                 y = None
                 u = old[sources]
                 if is_scaled:
@@ -188,7 +188,7 @@ class Exchange:
                 y = step(u, h)
                 if len(y) != size:  # one number would be taken for all
                     raise ValueError
-                new[span] = y
+                new[output_slice] = y
         except (Exception, SystemExit) as error:
             raise part.failure("step", error, now, y) from error
         return None
@@ -197,16 +197,16 @@ class Exchange:
         """Step the parts that are due."""
         values = self.values
         for part in interval.due:
-            self._before[part.span] = values[part.span]
+            self._before[part.output_slice] = values[part.output_slice]
             y = self._substeps(part, h, now)
             if self._sequential:
-                values[part.span] = y
+                values[part.output_slice] = y
                 self._draw_lines([part], now + part.every * h, h)
             else:
                 self._arriving[part] = y
         if not self._sequential:
             for part in interval.ended:
-                values[part.span] = self._arriving[part]
+                values[part.output_slice] = self._arriving[part]
             self._draw_lines(interval.ended, now + h, h)
 
     def _substeps(self, part: Part, h: float, now: float) -> FloatArray:
@@ -230,19 +230,19 @@ class Exchange:
     def _draw_lines(self, parts: Iterable[Part], end: float, h: float) -> None:
         """Note when and how fast the outputs of parts changed in a step that ends at a time [s]."""
         for part in parts:
-            span = part.span
+            rows = part.output_slice
             held = part.plant.is_sampled
-            self._slopes[span] = 0.0 if held else (self.values[span] - self._before[span]) / (part.every * h)
-            self._stamps[span] = end
+            self._slopes[rows] = 0.0 if held else (self.values[rows] - self._before[rows]) / (part.every * h)
+            self._stamps[rows] = end
 
-    def _updates(self, changed: Iterable[int]) -> list[Update]:
-        """Return what brings everything up to date that depends on some values, as far as parts can."""
+    def _updates(self, changed: Iterable[int]) -> list[OutputUpdate]:
+        """Return the updates of everything that depends on some values, where parts can give outputs."""
         by_name = {part.name: part for part in self._parts}
 
-        def update(evaluation: Evaluation) -> Update:
+        def update(evaluation: Evaluation) -> OutputUpdate:
             parts = tuple(by_name[name] for name in evaluation.parts)
             if not evaluation.loop:
-                return Update(parts, lambda time: self._evaluate(parts[0], time))
+                return OutputUpdate(parts, lambda time: self._evaluate(parts[0], time))
             loop = AlgebraicLoop(
                 parts,
                 evaluation.loop,
@@ -252,12 +252,12 @@ class Exchange:
                 self._wiring.values,
                 self._taken,
             )
-            return Update(parts, loop.solve)
+            return OutputUpdate(parts, loop.solve)
 
-        found = map(update, self._graph.evaluations(changed))
-        return [one for one in found if all(part.plant.can_give_outputs for part in one.parts)]
+        updates = map(update, self._graph.evaluations(changed))
+        return [update for update in updates if all(part.plant.can_give_outputs for part in update.parts)]
 
-    def _needed(self, updates: Sequence[Update]) -> list[Update]:
+    def _needed(self, updates: Sequence[OutputUpdate]) -> list[OutputUpdate]:
         """Return the updates after a step of all parts that change something.
 
         Where values are held, and a part takes all that its outputs depend on directly from parts before it,
@@ -278,4 +278,4 @@ class Exchange:
         return chosen
 
     def _evaluate(self, part: Part, time: float) -> None:
-        self.values[part.span] = part.outputs_at(self._taken(part, time), time)
+        self.values[part.output_slice] = part.outputs_at(self._taken(part, time), time)

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
-from ddpc_cosim.coupling.wiring import Signals, Wiring
+from ddpc_cosim.coupling.wiring import PartInterface, Wiring
 
 Node = TypeVar("Node", bound=Hashable)
 
@@ -28,7 +28,7 @@ class Graph:
 
     Parameters
     ----------
-    parts : mapping of str to Signals
+    parts : mapping of str to PartInterface
         The parts by name.
     wiring : Wiring
         Their connections.
@@ -43,9 +43,9 @@ class Graph:
         The algebraic loops: inputs and outputs that follow from each other without delay.
     """
 
-    def __init__(self, parts: Mapping[str, Signals], wiring: Wiring) -> None:
+    def __init__(self, parts: Mapping[str, PartInterface], wiring: Wiring) -> None:
         self._wiring = wiring
-        self._owner = [part for part, span in wiring.spans.items() for _ in range(span.start, span.stop)]
+        self._owner = [part for part, span in wiring.slices.items() for _ in range(span.start, span.stop)]
         self._first_output = len(wiring.values) - len(self._owner)
         needs = self._needs(parts)
         # The values that each output depends on without delay.
@@ -74,14 +74,14 @@ class Graph:
 
     def reached(self, changed: Iterable[int]) -> set[int]:
         """Return the outputs that depend on some values without delay, directly or through others."""
-        found, users = set[int](), self._users(self._direct)
+        reached, users = set[int](), self._users(self._direct)
         waiting = list(changed)
         while waiting:
             for place in users.get(waiting.pop(), ()):
-                if place not in found:
-                    found.add(place)
+                if place not in reached:
+                    reached.add(place)
                     waiting.append(place)
-        return found
+        return reached
 
     def dependencies(self) -> dict[str, frozenset[str]]:
         """Return for each output of the system the inputs of it that it depends on without delay."""
@@ -89,7 +89,7 @@ class Graph:
         reached = {v.name: {place, *self.reached([place])} for place, v in enumerate(wiring.inputs)}
         return {
             output.name: frozenset(name for name, places in reached.items() if source in places)
-            for output, source in zip(wiring.outputs, wiring.outlet.sources.tolist(), strict=True)
+            for output, source in zip(wiring.outputs, wiring.output_map.sources.tolist(), strict=True)
         }
 
     def directly_before(self, places: Iterable[int]) -> set[str]:
@@ -106,15 +106,15 @@ class Graph:
         """Return the part whose output a value is."""
         return self._owner[place - self._first_output]
 
-    def _needs(self, parts: Mapping[str, Signals]) -> dict[int, list[tuple[int, str]]]:
+    def _needs(self, parts: Mapping[str, PartInterface]) -> dict[int, list[tuple[int, str]]]:
         """Return for each output the values it depends on without delay, each with the input between."""
         wiring = self._wiring
         needs: dict[int, list[tuple[int, str]]] = {}
         for name, part in parts.items():
-            sources = wiring.intakes[name].sources.tolist()
+            sources = wiring.input_maps[name].sources.tolist()
             value_of = {v.name: source for v, source in zip(part.inputs, sources, strict=True)}
             dependencies = part.dependencies
-            for place, output in enumerate(part.outputs, wiring.spans[name].start):
+            for place, output in enumerate(part.outputs, wiring.slices[name].start):
                 on = dependencies.get(output.name, frozenset())
                 needs[place] = [
                     (value, f"{name}.{known}") for known, value in value_of.items() if known in on
@@ -142,11 +142,11 @@ class Graph:
             texts[self._wiring.values[place]] = None
         return tuple(texts)
 
-    def _part_order(self, parts: Mapping[str, Signals]) -> tuple[str, ...]:
+    def _part_order(self, parts: Mapping[str, PartInterface]) -> tuple[str, ...]:
         follows: dict[str, set[str]] = {name: set() for name in parts}  # by any connection
         awaits: dict[str, set[str]] = {name: set() for name in parts}  # without delay
         for name in parts:
-            for value in self._wiring.intakes[name].sources.tolist():
+            for value in self._wiring.input_maps[name].sources.tolist():
                 if value >= self._first_output:
                     follows[self.part_of(value)].add(name)
         for place, values in self._direct.items():
@@ -172,7 +172,7 @@ def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]])
     index: dict[Node, int] = {}
     low: dict[Node, int] = {}
     path: dict[Node, None] = {}
-    found: list[list[Node]] = []
+    strongly_connected: list[list[Node]] = []
     for root in reversed(given):
         if root in index:
             continue
@@ -180,8 +180,8 @@ def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]])
         index[root] = low[root] = len(index)
         path[root] = None
         while work:
-            node, following = work[-1]
-            for other in following:
+            node, remaining = work[-1]
+            for other in remaining:
                 if other not in index:
                     index[other] = low[other] = len(index)
                     path[other] = None
@@ -197,10 +197,10 @@ def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]])
                     component = [node]
                     while (other := path.popitem()[0]) != node:
                         component.append(other)
-                    found.append(sorted(component, key=given.__getitem__))
-    return found[::-1]
+                    strongly_connected.append(sorted(component, key=given.__getitem__))
+    return strongly_connected[::-1]
 
 
 def _within(given: Mapping[Node, int], nodes: Iterable[Node]) -> list[Node]:
-    """Return those of the nodes that count, the last one first: components are found from the end."""
+    """Return the given nodes among these, the last one first: components are found from the end."""
     return sorted((node for node in nodes if node in given), key=given.__getitem__, reverse=True)

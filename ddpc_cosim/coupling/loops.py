@@ -74,24 +74,24 @@ class AlgebraicLoop:
             if not change <= _CONTRACTS * last:
                 break
         residual = np.inf
-        for told in (True, False):
+        for exact in (True, False):
             self._values[self._members] = start
-            residual = self._newton(time, told)
+            residual = self._newton(time, exact)
             if residual <= self._tolerance:
                 return
         raise FMUStepError(self._does_not_converge(time), StepStatus.ERROR, time)
 
     def _sweep(self, time: float) -> None:
         for part in self._parts:
-            self._values[part.span] = part.outputs_at(self._taken(part, time), time)
+            self._values[part.output_slice] = part.outputs_at(self._taken(part, time), time)
 
-    def _newton(self, time: float, told: bool) -> float:
+    def _newton(self, time: float, exact: bool) -> float:
         """Take Newton steps; return the last one, relative to the values: small, if they have converged."""
         values, members = self._values, self._members
-        found, error = self._outputs(time)
+        outputs, error = self._outputs(time)
         for _ in range(_MOST_NEWTON_STEPS):
             z = values[members]
-            matrix = self._jacobian(time, found, told)
+            matrix = self._jacobian(time, outputs, exact)
             self._residual = error
             if matrix is None or not np.isfinite(matrix).all() or not np.isfinite(error).all():
                 return np.inf
@@ -102,7 +102,7 @@ class AlgebraicLoop:
             size, norm = self._largest(step), self._largest(error)
             for _ in range(_MOST_HALVINGS):
                 values[members] = z + step
-                found, error = self._outputs(time)
+                outputs, error = self._outputs(time)
                 if self._largest(error) < norm or size <= self._tolerance:
                     break
                 step *= 0.5
@@ -110,32 +110,32 @@ class AlgebraicLoop:
                 values[members] = z
                 return np.inf
             if size <= self._tolerance:
-                for part, y in zip(self._parts, found, strict=True):
-                    values[part.span] = y
+                for part, y in zip(self._parts, outputs, strict=True):
+                    values[part.output_slice] = y
                 return size
         return np.inf
 
     def _outputs(self, time: float) -> tuple[list[FloatArray], FloatArray]:
         """Return the outputs of all parts at the values as they are, and by how much the values differ."""
-        found = [part.outputs_at(self._taken(part, time), time) for part in self._parts]
+        outputs = [part.outputs_at(self._taken(part, time), time) for part in self._parts]
         values = self._values.copy()
-        for part, y in zip(self._parts, found, strict=True):
-            values[part.span] = y
-        return found, values[self._members] - self._values[self._members]
+        for part, y in zip(self._parts, outputs, strict=True):
+            values[part.output_slice] = y
+        return outputs, values[self._members] - self._values[self._members]
 
-    def _jacobian(self, time: float, outputs: Sequence[FloatArray], told: bool) -> FloatArray | None:
-        """Return the derivatives of the loop's values by themselves; None where no part tells its own."""
-        size, known = len(self._members), not told
+    def _jacobian(self, time: float, outputs: Sequence[FloatArray], exact: bool) -> FloatArray | None:
+        """Return the derivatives of the loop's values by themselves; None where no part knows its own."""
+        size, known = len(self._members), not exact
         matrix = np.zeros((size, size))
         for part, y in zip(self._parts, outputs, strict=True):
             taken = self._taken(part, time)
-            derivatives = part.derivatives(taken, time) if told else None
+            derivatives = part.derivatives(taken, time) if exact else None
             known = known or derivatives is not None
-            own = [(row, p - part.span.start) for p, row in self._row.items() if p in part.places]
+            rows = [(row, p - part.output_slice.start) for p, row in self._row.items() if p in part.places]
             for i, source in enumerate(part.sources.tolist()):
                 if source in self._row:
                     slope = self._slope(part, taken, i, y, time) if derivatives is None else derivatives[:, i]
-                    for row, place in own:
+                    for row, place in rows:
                         matrix[row, self._row[source]] += slope[place]
         return matrix if known else None
 

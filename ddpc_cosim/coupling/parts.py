@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.coupling.wiring import Intake
+from ddpc_cosim.coupling.wiring import AffineMap
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.safe_calls import announce_call_of_plant, feedthrough_of_plant, plant_fault, plant_outputs
@@ -21,9 +21,9 @@ class Part:
         Its name.
     plant : Plant
         The plant.
-    intake : Intake
+    input_map : AffineMap
         How its inputs follow from all values.
-    span : slice
+    output_slice : slice
         Where its outputs are among all values.
 
     Attributes
@@ -36,13 +36,13 @@ class Part:
         Whether its inputs are other numbers than the values that it takes.
     """
 
-    def __init__(self, name: str, plant: Plant, intake: Intake, span: slice) -> None:
-        self.name, self.plant, self.span = name, plant, span
-        self.places = range(span.start, span.stop)
-        self.sources, self.factor, self.offset = intake
+    def __init__(self, name: str, plant: Plant, input_map: AffineMap, output_slice: slice) -> None:
+        self.name, self.plant, self.output_slice = name, plant, output_slice
+        self.places = range(output_slice.start, output_slice.stop)
+        self.sources, self.factor, self.offset = input_map
         self.in_step = f'step of part "{name}"'
         self.size = len(plant.outputs)
-        self.is_scaled = intake.is_scaled
+        self.is_scaled = input_map.is_scaled
         self.every, self.substeps = 1, 1
 
     def step(self, taken: FloatArray, h: float, time: float) -> FloatArray:
@@ -64,12 +64,12 @@ class Part:
         return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
 
     def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:
-        """Return those of the outputs by the values that are taken, shape (p, m); None: not known."""
+        """Return the derivatives of outputs by the values that are taken, shape (p, m); None: not known."""
         try:
-            told = feedthrough_of_plant(self.plant, self.factor * taken + self.offset, time)
+            derivatives = feedthrough_of_plant(self.plant, self.factor * taken + self.offset, time)
         except CosimError as error:
             raise self.failure("feedthrough", error, time) from error
-        return None if told is None else told * self.factor
+        return None if derivatives is None else derivatives * self.factor
 
     def may_take(self, taken: FloatArray) -> bool:
         """Whether the inputs are not above their limits."""

@@ -33,7 +33,7 @@ class _SavedState(NamedTuple):
     memory: FloatArray
     time: tuple[float, int, float]
     halvings: int
-    ending: CosimError | None
+    end_error: CosimError | None
 
 
 class CoupledPlant(Plant):
@@ -157,8 +157,8 @@ class CoupledPlant(Plant):
         self.order, self.loops = graph.order, graph.loops
         self.dependencies = graph.dependencies()
         self._wiring = wiring
-        self._read = None if wiring.outlet.is_scaled else wiring.outlet.sources
-        self._parts = {n: Part(n, parts[n], wiring.intakes[n], wiring.spans[n]) for n in graph.order}
+        self._read = None if wiring.output_map.is_scaled else wiring.output_map.sources
+        self._parts = {n: Part(n, parts[n], wiring.input_maps[n], wiring.slices[n]) for n in graph.order}
         self._communication_step, self._steps = communication_step, steps
         self._how = f"{algorithm}, {extrapolation}"
         self._exchange = Exchange(
@@ -173,7 +173,7 @@ class CoupledPlant(Plant):
         self._control: ErrorControl | None = None
         if error_tolerance is not None:
             order = 2 if extrapolation == "linear" else 1
-            taken = [intake.sources for intake in (*wiring.intakes.values(), wiring.outlet)]
+            taken = [input_map.sources for input_map in (*wiring.input_maps.values(), wiring.output_map)]
             watched = np.unique(np.concatenate(taken))
             self._control = ErrorControl(
                 tuple(self._parts.values()),
@@ -183,8 +183,8 @@ class CoupledPlant(Plant):
                 watched,
                 wiring.scale[watched],
             )
-        self._base_time, self._samples, self._h, self._tick = 0.0, 0, 0.0, 0.0
-        self._ending: CosimError | None = ConfigError("step before reset")
+        self._base_time, self._samples, self._h, self._interval = 0.0, 0, 0.0, 0.0
+        self._end_error: CosimError | None = ConfigError("step before reset")
 
     @classmethod
     def from_ssp(cls, path: str | Path, *, isolated: bool = False, **options: Any) -> Self:
@@ -208,23 +208,23 @@ class CoupledPlant(Plant):
             An FMU cannot be loaded.
         """
         system = read_ssp(Path(path))
-        for key, own in (("inputs", system.inputs), ("outputs", system.outputs)):
-            options.setdefault(key, names(own) or None)
-        values = {f"{one.name}.{key}": value for one in system.parts for key, value in one.parameters.items()}
+        for key, exposed in (("inputs", system.inputs), ("outputs", system.outputs)):
+            options.setdefault(key, names(exposed) or None)
+        values = {f"{p.name}.{key}": value for p in system.parts for key, value in p.parameters.items()}
         with ExitStack() as opened:
             parts = dict[str, Plant]()
-            for one in system.parts:
-                parts[one.name] = opened.enter_context(
+            for part in system.parts:
+                parts[part.name] = opened.enter_context(
                     FMUPlant(
-                        one.fmu,
-                        inputs=one.inputs,
-                        outputs=one.outputs,
-                        fmi_type=one.fmi_type,
-                        start=one.start,
+                        part.fmu,
+                        inputs=part.inputs,
+                        outputs=part.outputs,
+                        fmi_type=part.fmi_type,
+                        start=part.start,
                         isolated=isolated,
                     )
                 )
-            connections = [one.connection for one in system.connections]
+            connections = [connection.connection for connection in system.connections]
             connectors = (*system.inputs, *system.outputs)
             values |= options.pop("parameters", None) or {}
             plant = cls(parts, connections, connectors=connectors, parameters=values, **options)
@@ -238,9 +238,9 @@ class CoupledPlant(Plant):
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
         """Tell all parts their steps and the stop time."""
-        self._arrange(sampling_time)
+        self._schedule_steps(sampling_time)
         for part in self._parts.values():
-            step = self._tick * part.every / part.substeps
+            step = self._interval * part.every / part.substeps
             part.call("plan", self.time, step, stop_time)
 
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
@@ -257,27 +257,27 @@ class CoupledPlant(Plant):
         for place, value in resting.items():
             exchange.values[place] = value
         for name, part in self._parts.items():
-            exchange.values[part.span] = part.reset(by_part.get(name, {}), t0)
+            exchange.values[part.output_slice] = part.reset(by_part.get(name, {}), t0)
         exchange.refresh(t0)
-        self._ending = None
-        return self._outlet()
+        self._end_error = None
+        return self._current_outputs()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        if h != self._h or self._ending is not None:
+        if h != self._h or self._end_error is not None:
             self._get_ready(h)
         time = self._base_time + self._samples * h
         self._exchange.set_inputs(u, time)
-        self._ending = self._advance(self._tick, time)
+        self._end_error = self._advance(self._interval, time)
         self._samples += 1
-        return self._exchange.values[self._read] if self._read is not None else self._outlet()
+        return self._exchange.values[self._read] if self._read is not None else self._current_outputs()
 
     def _get_ready(self, h: float) -> None:
         """Go over to another sampling time [s], or raise what keeps the plant from going on."""
-        if self._ending is not None:
-            raise self._ending
+        if self._end_error is not None:
+            raise self._end_error
         self._base_time, self._samples = self.time, 0
-        self._arrange(h)
+        self._schedule_steps(h)
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, ``"part.name"``, and inputs that rest, from the next step on."""
@@ -292,7 +292,7 @@ class CoupledPlant(Plant):
         """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""
         self._exchange.values[: len(self.inputs)] = u
         self._exchange.refresh(self.time)
-        return self._outlet()
+        return self._current_outputs()
 
     @property
     def can_save_state(self) -> bool:
@@ -307,7 +307,7 @@ class CoupledPlant(Plant):
             self._exchange.memory.copy(),
             (self._base_time, self._samples, self._h),
             halvings,
-            self._ending,
+            self._end_error,
         )
 
     def restore_state(self, state: object) -> None:
@@ -319,14 +319,14 @@ class CoupledPlant(Plant):
         self._exchange.memory[:] = state.memory
         self._base_time, self._samples, h = state.time
         if h != self._h:
-            self._arrange(h)
+            self._schedule_steps(h)
         if self._control is not None:
             self._control.halvings = state.halvings
-        self._ending = state.ending
+        self._end_error = state.end_error
 
     def close(self) -> None:
         """Close all parts, also if some cannot."""
-        self._ending = ConfigError("step after close")
+        self._end_error = ConfigError("step after close")
         first: Exception | None = None
         for part in self._parts.values():
             try:
@@ -341,16 +341,16 @@ class CoupledPlant(Plant):
 
     def provenance(self) -> Mapping[str, str]:
         """Return how the parts are coupled, and the identifiers of each, ``"part.name"``."""
-        told = {"class": "CoupledPlant", "coupling": self._how, "parts": ", ".join(self._parts)}
+        identifiers = {"class": "CoupledPlant", "coupling": self._how, "parts": ", ".join(self._parts)}
         for name, part in self._parts.items():
-            told |= {f"{name}.{key}": value for key, value in plant_provenance(part.plant).items()}
-        return told
+            identifiers |= {f"{name}.{key}": value for key, value in plant_provenance(part.plant).items()}
+        return identifiers
 
-    def _outlet(self) -> FloatArray:
-        sources, factor, offset = self._wiring.outlet
+    def _current_outputs(self) -> FloatArray:
+        sources, factor, offset = self._wiring.output_map
         return factor * self._exchange.values[sources] + offset
 
-    def _arrange(self, h: float) -> None:
+    def _schedule_steps(self, h: float) -> None:
         """Divide a sample of h [s] into communication intervals, and these among the parts."""
         wanted, faults = self._communication_step, []
         intervals = 1 if wanted is None else _whole(h, wanted)
@@ -358,20 +358,20 @@ class CoupledPlant(Plant):
             raise ConfigError(
                 f"communication_step = {wanted:g} s does not divide the sampling time of {h:g} s"
             )
-        tick = h / intervals
+        interval = h / intervals
         for name, step in self._steps.items():
             part = self._parts[name]
-            part.every, part.substeps = _whole(step, tick) or 1, _whole(tick, step) or 1
-            fits = _whole(step, tick) is not None or _whole(tick, step) is not None
+            part.every, part.substeps = _whole(step, interval) or 1, _whole(interval, step) or 1
+            fits = _whole(step, interval) is not None or _whole(interval, step) is not None
             if not fits or intervals % part.every:
                 faults.append(
-                    f'steps["{name}"] = {step:g} s fits neither the communication step of {tick:g} s nor the '
-                    f"sampling time of {h:g} s: one must divide the other"
+                    f'steps["{name}"] = {step:g} s fits neither the communication step of {interval:g} s nor '
+                    f"the sampling time of {h:g} s: one must divide the other"
                 )
         if faults:
             raise ConfigError(faults)
-        self._h, self._tick = h, tick
-        self._exchange.arrange(intervals if self._control is None else 1)
+        self._h, self._interval = h, interval
+        self._exchange.schedule(intervals if self._control is None else 1)
         self._advance = self._exchange.advance_once if intervals == 1 else self._exchange.advance
         if self._control is not None:
             self._advance = partial(self._control.advance, intervals)
@@ -397,7 +397,7 @@ class CoupledPlant(Plant):
 
 
 def _whole(long: float, short: float) -> int | None:
-    """Return how many short times make a long one, None if that is not a whole number."""
+    """Return how many short times make a long one, None if the ratio is not an integer."""
     ratio = long / short
     number = round(ratio)
     return number if number >= 1 and abs(ratio - number) <= _WHOLE * number else None

@@ -56,7 +56,7 @@ class PartSpec(Protocol):
         """Open it with the chosen signals."""
 
 
-class Signals(NamedTuple):
+class PartSignals(NamedTuple):
     """The signals of a part, which its connections are checked against."""
 
     inputs: tuple[Variable, ...]
@@ -103,7 +103,7 @@ class CoupledSpec:
     def content(self) -> str:
         """What decides its behaviour: that of the parts, their connections and options; once it is built."""
         parts = [f"{name}: {part.content}" for name, part in self.parts.items()]
-        how = [repr(one) for one in (*self.connections, *self.connectors)]
+        how = [repr(link) for link in (*self.connections, *self.connectors)]
         settings = [f"{k}={v!r}" for k, v in sorted({**self.options, **self.parameters}.items())]
         return "coupled " + hashlib.sha256("\n".join((*parts, *how, *settings)).encode()).hexdigest()
 
@@ -120,21 +120,21 @@ class CoupledSpec:
         inputs, outputs = ({v.name: v for v in group} for group in (wiring.inputs, wiring.outputs))
         parameters = {
             f"{part}.{name}": replace(variable, name=f"{part}.{name}")
-            for part, one in known.items()
-            for name, variable in one.parameters.items()
+            for part, described in known.items()
+            for name, variable in described.parameters.items()
         }
-        tunable = {f"{part}.{name}" for part, one in known.items() for name in one.tunable}
+        tunable = {f"{part}.{name}" for part, described in known.items() for name in described.tunable}
         fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known, ()).items() for name in fed}
 
         def usual(every: Mapping[str, Variable], of: Callable[[PlantDescription], Iterable[str]]) -> Any:
             """Return the system's own signals; of a system without any, those of its parts."""
-            of_parts = [f"{part}.{name}" for part, one in known.items() for name in of(one)]
+            of_parts = [f"{part}.{name}" for part, described in known.items() for name in of(described)]
             return tuple(name for name in every if "." not in name) or tuple(
                 name for name in of_parts if name in every
             )
 
-        usual_inputs = usual(inputs, lambda one: one.default_inputs or one.inputs)
-        usual_outputs = usual(outputs, lambda one: one.default_outputs or one.outputs)
+        usual_inputs = usual(inputs, lambda described: described.default_inputs or described.inputs)
+        usual_outputs = usual(outputs, lambda described: described.default_outputs or described.outputs)
         connectors = {
             name: DescribedVariable(variable, causality=causality, start_text=repr(variable.start))
             for causality, variables in (("input", inputs), ("output", outputs))
@@ -148,7 +148,7 @@ class CoupledSpec:
             frozenset(tunable - fed),
             usual_inputs,
             usual_outputs,
-            {unit: shown for one in known.values() for unit, shown in one.display_units.items()},
+            {unit: shown for described in known.values() for unit, shown in described.display_units.items()},
             variables=connectors | dict(self._declared(known, {*usual_inputs, *usual_outputs})),
             default_experiment=self.experiment,
             variable_step=all(part.variable_step for part in known.values()),
@@ -167,9 +167,9 @@ class CoupledSpec:
             for variable in described.variables.values():
                 full = f"{part}.{variable.name}"
                 given, text, causality = self.parameters.get(full), variable.start_text, variable.causality
-                own = replace(variable.variable, name=full)
+                renamed = replace(variable.variable, name=full)
                 if isinstance(given, int | float):
-                    own, text = replace(own, start=float(given)), repr(given)
+                    renamed, text = replace(renamed, start=float(given)), repr(given)
                 if causality in ("input", "output") and full not in usual:
                     causality = "local"
                 alias, state = (
@@ -179,7 +179,7 @@ class CoupledSpec:
                     full,
                     replace(
                         variable,
-                        variable=own,
+                        variable=renamed,
                         start_text=text,
                         causality=causality,
                         alias_of=alias,
@@ -188,20 +188,20 @@ class CoupledSpec:
                 )
 
     def _variables_of_parts(self) -> dict[str, PlantDescription]:
-        found, faults = dict[str, PlantDescription](), list[str]()
+        descriptions, faults = dict[str, PlantDescription](), list[str]()
         for name, part in self.parts.items():
             try:
-                found[name] = part.variables()
+                descriptions[name] = part.variables()
             except CosimError as error:
                 faults.append(f'part "{name}": {error}')
         if faults:
             raise ConfigError(faults)
-        return found
+        return descriptions
 
     def _wiring(self, known: Mapping[str, PlantDescription], outputs: Sequence[str] | None = None) -> Wiring:
         signals = {
-            name: Signals(tuple(one.inputs.values()), tuple(one.outputs.values()))
-            for name, one in known.items()
+            name: PartSignals(tuple(described.inputs.values()), tuple(described.outputs.values()))
+            for name, described in known.items()
         }
         return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
 
@@ -210,19 +210,19 @@ class CoupledSpec:
     ) -> dict[str, Exchanged]:
         """Return by part the inputs that connections feed, and the outputs that they start from."""
         wiring = self._wiring(known, outputs)
-        sources = {part: wiring.intakes[part].sources.tolist() for part in known}
-        places = {*wiring.outlet.sources.tolist(), *(place for some in sources.values() for place in some)}
+        sources = {part: wiring.input_maps[part].sources.tolist() for part in known}
+        places = set(wiring.output_map.sources.tolist()).union(*sources.values())
         used = {wiring.values[place] for place in places}
         return {
             part: (
                 tuple(
                     name
-                    for name, place in zip(one.inputs, sources[part], strict=True)
+                    for name, place in zip(described.inputs, sources[part], strict=True)
                     if wiring.values[place] != f"{part}.{name}"
                 ),
-                tuple(name for name in one.outputs if f"{part}.{name}" in used),
+                tuple(name for name in described.outputs if f"{part}.{name}" in used),
             )
-            for part, one in known.items()
+            for part, described in known.items()
         }
 
     def built(self) -> Self:
@@ -233,9 +233,9 @@ class CoupledSpec:
             with _naming(name):
                 parts[name] = part.built()
         wiring = self._wiring(known)
-        own = tuple(v for v in (*wiring.inputs, *wiring.outputs) if "." not in v.name)
+        connectors = tuple(v for v in (*wiring.inputs, *wiring.outputs) if "." not in v.name)
         exchanged = self._exchanged(known, [v.name for v in wiring.outputs if "." not in v.name])
-        return replace(self, parts=parts, connectors=own, exchanged=exchanged)
+        return replace(self, parts=parts, connectors=connectors, exchanged=exchanged)
 
     def check(self, sampling_time: float) -> None:
         """Check that it, built, can be opened and stepped so [s]; nothing of it runs.
@@ -256,7 +256,7 @@ class CoupledSpec:
     def starting_at(self, start: Mapping[str, float]) -> Self:
         """Return it, built, with other start values of inputs, by full name."""
         parts = {
-            name: part.starting_at({one: start[f"{name}.{one}"] for one in _within(name, start)})
+            name: part.starting_at({v: start[f"{name}.{v}"] for v in _within(name, start)})
             for name, part in self.parts.items()
         }
         return replace(self, parts=parts, connectors=with_start(self.connectors, start))

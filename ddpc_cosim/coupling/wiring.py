@@ -45,7 +45,7 @@ class Connection:
         return f'connection from "{self.source}" to "{self.target}"'
 
 
-class Signals(Protocol):
+class PartInterface(Protocol):
     """What is known of a part without running it; a plant has it too."""
 
     @property
@@ -65,7 +65,7 @@ class Signals(Protocol):
         """Whether it answers to its inputs as they are when a step begins."""
 
 
-class Intake(NamedTuple):
+class AffineMap(NamedTuple):
     """How a vector of numbers follows from all values: factor * values[sources] + offset."""
 
     sources: NDArray[np.intp]
@@ -74,7 +74,7 @@ class Intake(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether it is more than a choice of values."""
+        """Whether values are scaled or shifted, not only selected."""
         return bool((self.factor != 1.0).any() or self.offset.any())
 
 
@@ -93,7 +93,7 @@ class Wiring:
 
     Parameters
     ----------
-    parts : mapping of str to Signals
+    parts : mapping of str to PartInterface
         The parts by name.
     connections : sequence of Connection
         What they exchange.
@@ -110,11 +110,11 @@ class Wiring:
         Signals of the system, by full name.
     values : tuple of str
         Full names of all values.
-    intakes : dict of str to Intake
+    input_maps : dict of str to AffineMap
         By part: how its inputs follow from the values.
-    outlet : Intake
+    output_map : AffineMap
         How the outputs of the system follow from the values.
-    spans : dict of str to slice
+    slices : dict of str to slice
         By part: where its outputs are among the values.
     start : array
         All values at rest; zero for outputs.
@@ -129,7 +129,7 @@ class Wiring:
 
     def __init__(
         self,
-        parts: Mapping[str, Signals],
+        parts: Mapping[str, PartInterface],
         connections: Sequence[Connection],
         inputs: Sequence[str] | None = None,
         outputs: Sequence[str] | None = None,
@@ -192,9 +192,9 @@ class Wiring:
 
     def _ends(self, connection: Connection, end: str, what: str) -> Mapping[str, Variable] | None:
         """Return the numbers at an end by place; {}: a fault; None: a connector that is not declared."""
-        found = self._arrays[what].get(end) or self._arrays["connector"].get(end)
-        if found:
-            return found
+        numbers = self._arrays[what].get(end) or self._arrays["connector"].get(end)
+        if numbers:
+            return numbers
         part, dot, name = end.partition(".")
         if not dot:
             return None
@@ -212,7 +212,7 @@ class Wiring:
 
     @staticmethod
     def _as_other_end(end: str, other: Mapping[str, Variable] | None) -> dict[str, Variable]:
-        """Return a connector that is not declared: as what it is connected with."""
+        """Return a connector that is not declared, with the properties of the other end."""
         return {place: replace(v, name=end + place) for place, v in (other or {}).items()}
 
     def _link(self, connection: Connection, source: str, known: Variable, target: str, fed: Variable) -> None:
@@ -261,15 +261,15 @@ class Wiring:
         self.start = np.array(
             [0.0 if name in self._out else v.start for name, v in zip(self.values, variables, strict=True)]
         )
-        self.intakes = {
-            part: self._intake([self._links.get(name, _Link(name)) for name in _full(part, signals.inputs)])
+        self.input_maps = {
+            part: self._map([self._links.get(name, _Link(name)) for name in _full(part, signals.inputs)])
             for part, signals in self._parts.items()
         }
         system = self._system_outputs
-        self.outlet = self._intake([self._links[name] if name in system else _Link(name) for name in read])
-        self.spans, begin = {}, len(driven) + len(resting)
+        self.output_map = self._map([self._links[name] if name in system else _Link(name) for name in read])
+        self.slices, begin = {}, len(driven) + len(resting)
         for part, signals in self._parts.items():
-            self.spans[part] = slice(begin, begin + len(signals.outputs))
+            self.slices[part] = slice(begin, begin + len(signals.outputs))
             begin += len(signals.outputs)
 
     def _chosen(
@@ -281,19 +281,21 @@ class Wiring:
         chosen: dict[str, None] = {}
         arrays = _by_array(known)
         for name in wanted:
-            found = arrays.get(name, {})
-            if not found:
+            elements = arrays.get(name, {})
+            if not elements:
                 fed = self._links.get(name)
-                why = f'follows "{fed.source}"' if fed and what == "input" else f"is no {what} of the system"
+                why = f"is no {what} of the system"
+                if fed and what == "input":
+                    why = f'follows "{fed.source}"'
                 self._faults.append(f'{what} "{name}" {why}; {did_you_mean(name, known)}')
-            for place in found:
+            for place in elements:
                 if name + place in chosen:
                     self._faults.append(f'{what} "{name + place}" is named twice')
                 chosen[name + place] = None
         return tuple(chosen)
 
-    def _intake(self, links: Sequence[_Link]) -> Intake:
-        return Intake(
+    def _map(self, links: Sequence[_Link]) -> AffineMap:
+        return AffineMap(
             np.array([self._place[link.source] for link in links], dtype=np.intp),
             np.array([link.factor for link in links], dtype=np.float64),
             np.array([link.offset for link in links], dtype=np.float64),
@@ -306,12 +308,12 @@ def _full(part: str, variables: Iterable[Variable]) -> list[str]:
 
 def _by_array(known: Mapping[str, Variable]) -> dict[str, dict[str, Variable]]:
     """Return what each name stands for, by place in the array: one number, or all elements of an array."""
-    found: dict[str, dict[str, Variable]] = {}
+    arrays: dict[str, dict[str, Variable]] = {}
     for name, variable in known.items():
-        found[name] = {"": variable}
+        arrays[name] = {"": variable}
         if match := _ELEMENT.fullmatch(name):
-            found.setdefault(match["array"], {})[match["place"]] = variable
-    return found
+            arrays.setdefault(match["array"], {})[match["place"]] = variable
+    return arrays
 
 
 def _size(numbers: Mapping[str, Variable]) -> str:

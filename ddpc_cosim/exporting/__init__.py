@@ -125,7 +125,7 @@ def block_of(
         for variable, low, high in zip(loop.inputs, bounds.u_min, bounds.u_max, strict=True)
     ]
     kind = type(controller)
-    told = {
+    resource = {
         "name": name,
         **facts,
         "class": f"{kind.__module__}:{kind.__qualname__}",
@@ -152,7 +152,7 @@ def block_of(
         references,
         controls,
         code.sources,
-        {_RESOURCE: sealed_json(told).decode(), **(resources or {})},
+        {_RESOURCE: sealed_json(resource).decode(), **(resources or {})},
     )
 
 

@@ -67,13 +67,13 @@ def export_from_study(
     """
     path = path or Path(f"{controller}.fmu")
     _check_wishes(path, platforms)
-    one = _chosen("problem", problem, resolved.problems, only=True)
-    study = resolved.problems[one].study
+    chosen = _chosen("problem", problem, resolved.problems, only=True)
+    study = resolved.problems[chosen].study
     _chosen("controller", controller, study.controllers)
     within = _chosen("scenario", scenario, study.scenarios)
-    alone = replace(resolved, problems={one: resolved.problems[one]})
+    alone = replace(resolved, problems={chosen: resolved.problems[chosen]})
     with demanded(sandboxed):
-        plant = built_plants(alone.problems, progress)[one]
+        plant = built_plants(alone.problems, progress)[chosen]
     single = _of_one_case(alone.problem, controller, within, study.seeds[0] if seed is None else seed)
     (case,) = cases_of(single, plant)
     if case.late:
@@ -83,15 +83,15 @@ def export_from_study(
     facts = {
         "controller": controller,
         "study": resolved.head.name,
-        "problem": "" if len(resolved.problems) == 1 else one,
+        "problem": "" if len(resolved.problems) == 1 else chosen,
         "scenario": within,
         "seed": case.seed,
         "case": case.id,
     }
     progress.prepare(f"starting {case.name}")
     written = WholeStudy.of(single.study).toml().decode()
-    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=written))
-    return write_block(_read(told), path, fmi_version, platforms, progress.prepare)
+    answer = answer_of(case, partial(_block, name=path.stem, facts=facts, study=written))
+    return write_block(_read(answer), path, fmi_version, platforms, progress.prepare)
 
 
 def _check_wishes(path: Path, platforms: str | Sequence[str] | None) -> None:
@@ -120,7 +120,7 @@ def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = F
 
 
 def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: int) -> ResolvedStudy:
-    """Return the study that is left when a case is all that is run."""
+    """Return the study reduced to one case."""
     study = resolved.study
     parts: dict[str, Any] = {
         "seeds": [seed],
@@ -142,11 +142,11 @@ def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str
     return asdict(replace(block, resources={**block.resources, **vector}))
 
 
-def _read(told: dict[str, Any]) -> SampledBlock:
+def _read(answer: dict[str, Any]) -> SampledBlock:
     """Return the block that a worker told in plain values."""
 
     def variable(fields: dict[str, Any]) -> Variable:
         shown = fields["display_unit"]
         return Variable(**fields | {"display_unit": shown and DisplayUnit(**shown)})
 
-    return SampledBlock(**told | {key: [variable(one) for one in told[key]] for key in _SIGNALS})
+    return SampledBlock(**answer | {key: [variable(signal) for signal in answer[key]] for key in _SIGNALS})

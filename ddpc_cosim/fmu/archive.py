@@ -273,7 +273,7 @@ def _check_size(path: Path, label: str) -> None:
 
 
 def is_file_name(name: str) -> bool:
-    """Whether a name from a model description names a file in a given folder, and nothing elsewhere."""
+    """Whether a name from a model description names a file within a given folder."""
     fits = 0 < len(name.encode()) <= _LONGEST_NAME
     return fits and name not in (".", "..") and not _FORBIDDEN_IN_NAMES.search(name)
 
@@ -342,13 +342,13 @@ def _unpack_entries(
     remaining, too_large = limits.room_of(path.stat().st_size, label)
     if sum(entry.file_size for entry in files.values()) > remaining:  # what the archive itself admits
         raise too_large
-    # FMUs look into folders, empty or not; and all of them are told of one for resources.
+    # FMUs look into folders, empty or not; and all of them get the path of one for resources.
     for name in (*_folders(entries), _RESOURCES):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for name, entry in files.items():
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        # In a sandbox nobody changes what a file may be used for, so that it is made so.
+        # In a sandbox permissions of files cannot be changed later, so they are set when a file is made.
         made = partial(os.open, mode=_READABLE | _execution(entry, name))
         with archive.open(entry) as source, open(target, "xb", opener=made) as file:
             while chunk := source.read(_CHUNK):
@@ -359,7 +359,7 @@ def _unpack_entries(
 
 
 def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.ZipInfo]:
-    """Return the files by their path below the folder; what cannot be one is a fault."""
+    """Return the files by their path below the folder; an impossible path is a fault."""
     files: dict[str, zipfile.ZipInfo] = {}
     seen: dict[str, zipfile.ZipInfo] = {}
     for entry in entries:
@@ -408,7 +408,7 @@ def _name_fault(name: str) -> str:
 
 
 def _kind_fault(entry: zipfile.ZipInfo) -> str:
-    """Return why an entry is nothing to unpack; empty if it is."""
+    """Return why an entry must not be unpacked; empty if it may be."""
     if entry.flag_bits & _ENCRYPTED:
         return "it is encrypted"
     if method := _COMPRESSIONS.get(entry.compress_type):

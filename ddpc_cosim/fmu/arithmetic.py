@@ -28,14 +28,14 @@ _FUNCTIONS = _functions()
 
 
 def is_usual(
-    one: float = 1.0, little: float = 1e-17, denormal: float = 1.5e-323, quarter: float = 0.25
+    unity: float = 1.0, little: float = 1e-17, denormal: float = 1.5e-323, quarter: float = 0.25
 ) -> bool:
     """Whether doubles are rounded to the nearest one, and denormal ones are what they are.
 
     The sum is larger where it is rounded up. Three times the smallest number is 1.5e-323; a quarter of that
     is that number, and 0 where it is rounded down or towards zero, or taken for zero.
     """
-    return one + little == one and denormal * quarter != 0.0
+    return unity + little == unity and denormal * quarter != 0.0
 
 
 def unusual_state() -> Any:
@@ -43,9 +43,9 @@ def unusual_state() -> Any:
     return None if is_usual() else _saved()
 
 
-def departures(one: float = 1.0, little: float = 1e-17, denormal: float = 1e-310, half: float = 0.5) -> str:
-    """Return in words what is not as IEEE 754 has it by default in this thread; empty for nothing."""
-    up, down, inwards = one + little != one, -one - little != -one, one - little != one
+def departures(unity: float = 1.0, little: float = 1e-17, denormal: float = 1e-310, half: float = 0.5) -> str:
+    """Return in words what differs from the defaults of IEEE 754 in this thread; empty for nothing."""
+    up, down, inwards = unity + little != unity, -unity - little != -unity, unity - little != unity
     words = ["rounds up"] * up + ["rounds down"] * down + ["rounds towards zero"] * (inwards and not down)
     words += ["takes denormal numbers for zero"] * (denormal * half == 0.0)
     return " and ".join(words)
@@ -86,12 +86,12 @@ class KeptArithmetic:
 
     def put_back(self, before: Any) -> None:
         """Put back an unusual state, or the usual one for None, and say what has been changed."""
-        found, state = departures(), before or _USUAL
+        changes, state = departures(), before or _USUAL
         if state is not None and _FUNCTIONS is not None:
             _FUNCTIONS[1](state)
         now = departures()
-        if self.change or (found == now and before is not None):
+        if self.change or (changes == now and before is not None):
             return
-        left = f"this process now {found}" if found else "this process now rounds to the nearest number"
-        done = "it was put back, as it is after each call" if found != now else "it cannot be put back here"
+        left = f"this process now {changes}" if changes else "this process now rounds to the nearest number"
+        done = "it was put back, as it is after each call" if changes != now else "it cannot be put back here"
         self.change = f"its library changes how numbers are computed: {left}; {done}"

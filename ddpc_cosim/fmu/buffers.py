@@ -17,7 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.description import Declarations, DescribedVariable, Signal, Values, elements_of, flat_index
+from ddpc_cosim.description import (
+    Declarations,
+    DescribedVariable,
+    PlantSignal,
+    Values,
+    elements_of,
+    flat_index,
+)
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.description.variable_types import integer_range
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
@@ -115,13 +122,13 @@ class Port:
     ----------
     instance : Instance
         The FMU.
-    signals : sequence of Signal
+    signals : sequence of PlantSignal
         The numbers, in the vector's order.
     shapes : mapping of str to tuple of int
         Sizes of arrays that differ from the description's.
     """
 
-    def __init__(self, instance: Instance, signals: Sequence[Signal], shapes: Shapes) -> None:
+    def __init__(self, instance: Instance, signals: Sequence[PlantSignal], shapes: Shapes) -> None:
         self._length = len(signals)
         by_type: dict[str, list[int]] = {}
         for i, signal in enumerate(signals):
@@ -181,7 +188,7 @@ class Layout(NamedTuple):
     elements: list[int]
 
 
-def layout(signals: Sequence[Signal], shapes: Shapes) -> Layout:
+def layout(signals: Sequence[PlantSignal], shapes: Shapes) -> Layout:
     """Return how signals lie in memory.
 
     Raises
@@ -198,7 +205,7 @@ def layout(signals: Sequence[Signal], shapes: Shapes) -> Layout:
     return Layout(list(variables), size, elements)
 
 
-def _block(instance: Instance, signals: Sequence[Signal], positions: list[int], shapes: Shapes) -> Block:
+def _block(instance: Instance, signals: Sequence[PlantSignal], positions: list[int], shapes: Shapes) -> Block:
     """Return the block of signals of one FMI type."""
     value_type = instance.types[signals[0].source.type]
     references, size, elements = layout(signals, shapes)
@@ -220,7 +227,7 @@ def _block(instance: Instance, signals: Sequence[Signal], positions: list[int], 
     )
 
 
-def _place(signal: Signal, shapes: Shapes) -> int:
+def _place(signal: PlantSignal, shapes: Shapes) -> int:
     shape = shapes.get(signal.source.name, signal.source.shape)
     if any(index > size for index, size in zip(signal.indices, shape, strict=True)):
         raise ConfigError(
@@ -244,7 +251,7 @@ class StartValues:
         What it is called, for errors.
     values : mapping of str to number or str
         By name; elements of arrays as ``x[2]``.
-    driven : sequence of Signal
+    driven : sequence of PlantSignal
         The inputs that are driven: they cannot be given.
     tunable_only : bool
         Whether the run has begun.
@@ -260,7 +267,7 @@ class StartValues:
         description: Declarations,
         label: str,
         values: Mapping[str, Value],
-        driven: Sequence[Signal],
+        driven: Sequence[PlantSignal],
         *,
         tunable_only: bool = False,
     ) -> None:
@@ -268,7 +275,7 @@ class StartValues:
         self._driven = {signal.variable.name for signal in driven}
         self._tunable_only = tunable_only
         faults: list[str] = []
-        self._values: list[tuple[Signal, Value]] = []
+        self._values: list[tuple[PlantSignal, Value]] = []
         for name, value in values.items():
             try:
                 self._values.append(self._checked(name, value))
@@ -303,12 +310,12 @@ class StartValues:
             A parameter has another value: the FMU has ignored it.
         """
         for signal, value in self._chosen(lambda v: v.causality in ("parameter", "structuralParameter")):
-            found = self._read(instance, signal)
-            if found is not None and not _same(found, _number(signal.source, value)):
+            initial = self._read(instance, signal)
+            if initial is not None and not _same(initial, _number(signal.source, value)):
                 name = signal.variable.name
-                raise CallError(f"the FMU ignores {name} = {_text(value)}: initialised, it has {found:g}")
+                raise CallError(f"the FMU ignores {name} = {_text(value)}: initialised, it has {initial:g}")
 
-    def _checked(self, name: str, value: Value) -> tuple[Signal, Value]:
+    def _checked(self, name: str, value: Value) -> tuple[PlantSignal, Value]:
         signal, variable = self._description.signal(name), self._description.variables.get(name)
         if signal is None and variable is not None and variable.shape:
             raise ValueError(f'"{name}" is an array; set its elements: {elements_of(variable)}')
@@ -338,7 +345,7 @@ class StartValues:
             return f'parameter "{variable.name}" cannot change during a run; tunable: {names}'
         return ""
 
-    def _chosen(self, wanted: Any) -> list[tuple[Signal, Value]]:
+    def _chosen(self, wanted: Any) -> list[tuple[PlantSignal, Value]]:
         return [(signal, value) for signal, value in self._values if wanted(signal.source)]
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
@@ -355,7 +362,7 @@ class StartValues:
             if variable.shape
         }
 
-    def _set(self, instance: Instance, values: Iterable[tuple[Signal, Value]]) -> None:
+    def _set(self, instance: Instance, values: Iterable[tuple[PlantSignal, Value]]) -> None:
         for signal, value in values:
             try:
                 self._set_one(instance, signal, value)
@@ -364,7 +371,7 @@ class StartValues:
                     f"the FMU refuses {signal.variable.name} = {_text(value)}: {error}", error.code
                 ) from error
 
-    def _set_one(self, instance: Instance, signal: Signal, value: Value) -> None:
+    def _set_one(self, instance: Instance, signal: PlantSignal, value: Value) -> None:
         if signal.source.values == "text":
             self._set_text(instance, signal, str(value))
             return
@@ -374,7 +381,7 @@ class StartValues:
         block.accept(np.array([_number(signal.source, value)]))
         block.write()
 
-    def _set_text(self, instance: Instance, signal: Signal, text: str) -> None:
+    def _set_text(self, instance: Instance, signal: PlantSignal, text: str) -> None:
         value_type = instance.types[signal.source.type]
         references, size, (place,) = layout([signal], self.shapes)
         memory = (value_type.c_type * size)()
@@ -384,7 +391,7 @@ class StartValues:
         memory[place] = text.encode("utf-8")
         instance.call(value_type.set, *arguments)
 
-    def _read(self, instance: Instance, signal: Signal) -> float | None:
+    def _read(self, instance: Instance, signal: PlantSignal) -> float | None:
         """Return the value that the FMU has; None for a text, and where it does not tell."""
         if signal.source.values == "text":
             return None
@@ -415,7 +422,7 @@ def _number(variable: DescribedVariable, value: Value) -> float:
     raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")
 
 
-def _check_range(signal: Signal, number: float) -> None:
+def _check_range(signal: PlantSignal, number: float) -> None:
     variable, values = signal.variable, signal.source.values
     if not variable.min <= number <= variable.max or not math.isfinite(number):
         raise ValueError(
@@ -431,8 +438,8 @@ def _check_range(signal: Signal, number: float) -> None:
         raise ValueError(f"parameter {variable.name} = {number:g} must be {kind}")
 
 
-def _same(found: float, given: float) -> bool:
-    return math.isclose(found, given, rel_tol=_SAME, abs_tol=0.0)
+def _same(read: float, given: float) -> bool:
+    return math.isclose(read, given, rel_tol=_SAME, abs_tol=0.0)
 
 
 def _text(value: Value) -> str:

@@ -155,18 +155,18 @@ def compile_sources(
     where = " in a sandbox" if apart or entered() else ""
     place = f"libraries/{_digest(sources, sets, compiler.identity + where)}/{target.name}"
     try:
-        kept = cached(place, make)
-        target.write_bytes(kept.read_bytes())
+        library = cached(place, make)
+        target.write_bytes(library.read_bytes())
     except ExportError as error:
         what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
         raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error
     except OSError as error:
         raise FMUImportError(f"{label}: its C sources are compiled, and {error}") from error
-    return kept.parent
+    return library.parent
 
 
 def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[SourceSet]:
-    """Return what is to be compiled: what is described, else all C files in the sources folder."""
+    """Return the files to compile: those described, else all C files in the sources folder."""
     if not any(source_set.files for source_set in sets):
         sets = [SourceSet(_compiled_by_themselves(sources))]
     for source_set in sets:
@@ -211,10 +211,10 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
             raise ExportError(str(error)) from error
         except LostWorkerError as error:
             reason = str(error)
-            if error.ending is None:
+            if error.exit_status is None:
                 reason = f"it did not end within {_LONGEST_SECONDS:g} s and was ended"
-            elif error.ending.excess:
-                reason = f"{error.ending.excess}, so it was ended"
+            elif error.exit_status.excess:
+                reason = f"{error.exit_status.excess}, so it was ended"
             raise ExportError(reason) from error
         finally:
             worker.end()
@@ -267,7 +267,7 @@ def _build(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built
         objects += map(str, sorted(folder.iterdir()))
     is_cpp = any(name.endswith(_CPP) for source_set in sets for name in source_set.files)
     standard_library = ("-lstdc++",) if is_cpp else ()
-    # Without it, a function of the FMU would give way to one of the same name anywhere in this process.
+    # Without it, a function of the same name elsewhere in this process would replace the FMU's.
     own_symbols = ("-Wl,-Bsymbolic",) if sys.platform.startswith("linux") else ()
     link = ["-shared", *own_symbols, "-o", str(built), *objects, *compiler.libraries, *standard_library]
     compiler.run(link, built.parent)

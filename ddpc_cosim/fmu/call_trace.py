@@ -43,23 +43,23 @@ class TracedFunction:
         """Call the function, and write what it is given before it and what it returns after it."""
         given, results = list[str](), list[tuple[str, Any]]()
         for i, (name, kind, value) in enumerate(zip(self._arguments, self.argtypes, values, strict=True)):
-            one = _array(value, values[i + 1 :])
-            if self._is_result(name, one):
-                results.append((name, one))
+            item = _array(value, values[i + 1 :])
+            if self._is_result(name, item):
+                results.append((name, item))
             else:
-                given.append(f"{name}={_shown(one, kind)}")
+                given.append(f"{name}={_shown(item, kind)}")
         file = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:
             os.write(file, f"{self._name}({', '.join(given)})".encode("utf-8", "replace"))
             returned = self._function(*values)
-            told = "".join(f"; {name}={_shown(value)}" for name, value in results)
-            os.write(file, f"{self._returned(returned)}{told}\n".encode("utf-8", "replace"))
+            shown = "".join(f"; {name}={_shown(value)}" for name, value in results)
+            os.write(file, f"{self._returned(returned)}{shown}\n".encode("utf-8", "replace"))
         finally:
             os.close(file)
         return returned
 
     def _is_result(self, name: str, value: Any) -> bool:
-        """Whether the function fills an argument; what it is called with says nothing."""
+        """Whether the function fills an argument; then its value before the call is meaningless."""
         if isinstance(value, _POINTER):
             return not isinstance(value._obj, ctypes.Structure) or "Instantiate" not in self._name
         is_vector = isinstance(value, ctypes.Array) and "Get" in self._name
@@ -72,7 +72,7 @@ class TracedFunction:
 
 
 def _array(value: Any, following: Sequence[Any]) -> Any:
-    """Return what a pointer points to as an array, whose length is the argument behind it."""
+    """Return the array that a pointer points to; its length is the argument behind it."""
     if isinstance(value, ctypes._Pointer) and value and following and isinstance(following[0], int):
         return (value._type_ * following[0]).from_address(ctypes.addressof(value.contents))
     return value
@@ -88,9 +88,9 @@ def _shown(value: Any, kind: Any = None) -> str:
         return _shown(value._obj)
     if isinstance(value, ctypes.Structure):
         fields = ((name, getattr(value, name)) for name, *_ in value._fields_)
-        return f"{{{', '.join(f'{name}={_shown(one)}' for name, one in fields)}}}"
+        return f"{{{', '.join(f'{name}={_shown(value)}' for name, value in fields)}}}"
     if isinstance(value, ctypes.Array):
-        shown = [_shown(one) for one in value[:_MOST_SHOWN]]
+        shown = [_shown(element) for element in value[:_MOST_SHOWN]]
         rest = [f"... {len(value)} in all"] if len(value) > _MOST_SHOWN else []
         return f"[{', '.join(shown + rest)}]"
     if isinstance(value, bytes):

@@ -7,11 +7,11 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.instance import Instance, Slave
-from ddpc_cosim.fmu.run import Run, T
+from ddpc_cosim.fmu.run import FMURun, T
 from ddpc_cosim.variables import FloatArray
 
 
-class CoSimulationRun(Run):
+class CoSimulationRun(FMURun):
     """An initialised slave between two samples.
 
     Parameters
@@ -171,7 +171,7 @@ class StepSizes:
         return steps
 
     def remark(self, h: float) -> str:
-        """Return what is to be said of a sampling time [s]; empty for nothing.
+        """Return a warning about a sampling time [s]; empty for none.
 
         Steps *should* be multiples of a fixed internal step (FMI 3.0 section 4.4.1): whether others are
         possible, the FMU decides.

@@ -10,9 +10,9 @@ import fmpy.fmi1
 from ddpc_cosim.fmu.instance import (
     EventInfo,
     Instance,
+    InstanceSource,
     Model,
     ModelFunctions,
-    Origin,
     Slave,
     value_types,
 )
@@ -40,8 +40,8 @@ class _Fmi1(Instance):
 class Fmi1Slave(_Fmi1, Slave):
     """An FMI 1.0 Co-Simulation instance."""
 
-    def __init__(self, origin: Origin) -> None:
-        super().__init__(origin)
+    def __init__(self, source: InstanceSource) -> None:
+        super().__init__(source)
         self._do_step = partial(self.function("fmi1DoStep"), self.component)
 
     def initialize(
@@ -90,8 +90,8 @@ class Fmi1Model(_Fmi1, Model):
         "fmi1GetEventIndicators",
     )
 
-    def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
-        super().__init__(origin)
+    def __init__(self, source: InstanceSource, *, states: int, event_indicators: int) -> None:
+        super().__init__(source)
         self._sizes = (states, event_indicators)
         self._wants_event = ctypes.c_char()
 

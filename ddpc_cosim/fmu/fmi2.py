@@ -10,9 +10,9 @@ import fmpy.fmi2
 from ddpc_cosim.fmu.instance import (
     EventInfo,
     Instance,
+    InstanceSource,
     Model,
     ModelFunctions,
-    Origin,
     Slave,
     value_types,
 )
@@ -77,8 +77,8 @@ class _Fmi2(Instance):
 class Fmi2Slave(_Fmi2, Slave):
     """An FMI 2.0 Co-Simulation instance."""
 
-    def __init__(self, origin: Origin) -> None:
-        super().__init__(origin)
+    def __init__(self, source: InstanceSource) -> None:
+        super().__init__(source)
         self._do_step = partial(self.function("fmi2DoStep"), self.component)
 
     def do_step(self, time: float, h: float) -> None:
@@ -92,7 +92,7 @@ class Fmi2Slave(_Fmi2, Slave):
             raise failed_call("fmi2DoStep", status)
 
     def _status(self, kind: str, what: int, answer: Any) -> Any:
-        """Return what the FMU says of a step that was discarded; None where it says nothing."""
+        """Return a status of a discarded step from the FMU; None where it gives none."""
         try:
             self.call(f"fmi2Get{kind}Status", what, ctypes.byref(answer))
         except CallError:
@@ -118,8 +118,8 @@ class Fmi2Model(_Fmi2, Model):
         "fmi2GetEventIndicators",
     )
 
-    def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
-        super().__init__(origin)
+    def __init__(self, source: InstanceSource, *, states: int, event_indicators: int) -> None:
+        super().__init__(source)
         self._sizes = (states, event_indicators)
         self._enter_event, self._terminate_flag = ctypes.c_int(), ctypes.c_int()
         self._step_flags = (1, ctypes.byref(self._enter_event), ctypes.byref(self._terminate_flag))

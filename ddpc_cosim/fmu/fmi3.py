@@ -7,9 +7,9 @@ from typing import Any
 from ddpc_cosim.fmu.instance import (
     EventInfo,
     Instance,
+    InstanceSource,
     Model,
     ModelFunctions,
-    Origin,
     Slave,
     reference_array,
     value_types,
@@ -111,8 +111,8 @@ class Fmi3Slave(_Fmi3, Slave):
         Whether inputs are set in event mode, which discrete ones and clocks need where the FMU has it.
     """
 
-    def __init__(self, origin: Origin, *, event_mode: bool) -> None:
-        super().__init__(origin, eventModeUsed=event_mode, earlyReturnAllowed=event_mode)
+    def __init__(self, source: InstanceSource, *, event_mode: bool) -> None:
+        super().__init__(source, eventModeUsed=event_mode, earlyReturnAllowed=event_mode)
         self.uses_event_mode = event_mode
         self._do_step = self.function("fmi3DoStep")
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
@@ -145,7 +145,7 @@ class Fmi3Slave(_Fmi3, Slave):
                 self.do_step(time + h - remaining, remaining)
 
     def _follow_up(self, time: float, h: float) -> float:
-        """Do what the FMU wants after a step; return how much of the step is left [s]."""
+        """Handle what the FMU asks for after a step; return how much of the step is left [s]."""
         early, reached = self._early.value, self._reached.value
         if self._terminate.value:
             raise termination("fmi3DoStep", reached if early else time + h)
@@ -185,8 +185,8 @@ class Fmi3Model(_Fmi3, Model):
         "fmi3GetEventIndicators",
     )
 
-    def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
-        super().__init__(origin)
+    def __init__(self, source: InstanceSource, *, states: int, event_indicators: int) -> None:
+        super().__init__(source)
         self._described = (states, event_indicators)
         self._wants_event, self._wants_end = ctypes.c_bool(), ctypes.c_bool()
         self._step_flags = (True, ctypes.byref(self._wants_event), ctypes.byref(self._wants_end))

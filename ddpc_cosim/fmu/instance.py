@@ -57,7 +57,7 @@ class EventInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class InstanceSource:
     """Where an instance comes from: the FMU's unpacked folder, its library, and the model's identifiers.
 
     ``trace_calls`` is the file that all calls are written to, if there is to be one.
@@ -77,7 +77,7 @@ class Instance(ABC):
 
     Parameters
     ----------
-    origin : Origin
+    source : InstanceSource
         What to load.
     options : Any
         Settings of the FMI version's own.
@@ -93,18 +93,18 @@ class Instance(ABC):
     directional_derivative = ""
     """Name of the function for directional derivatives."""
 
-    def __init__(self, origin: Origin, **options: Any) -> None:
-        self.log = Log(origin.model_name)
+    def __init__(self, source: InstanceSource, **options: Any) -> None:
+        self.log = Log(source.model_name)
         try:
             self._fmu = load_library(
                 self.major,
-                origin.kind,
-                library=origin.library,
-                folder=origin.folder,
-                model_identifier=origin.model_identifier,
-                guid=origin.guid,
+                source.kind,
+                library=source.library,
+                folder=source.folder,
+                model_identifier=source.model_identifier,
+                guid=source.guid,
                 name=self.log.instance_name,
-                trace_calls=origin.trace_calls,
+                trace_calls=source.trace_calls,
             )
         except BaseException:
             self.log.close()
@@ -321,7 +321,7 @@ class Model(Instance):
         self.call(self.functions.get_derivatives, dx, n)
 
     def get_nominals(self, x: DoubleArray, n: int) -> None:
-        """Read the nominal values of the continuous states; zeros where the FMU does not tell."""
+        """Read the nominal values of the continuous states; zeros where the FMU does not say."""
         try:
             self.call(self.functions.get_nominals, x, n)
         except CallError as error:

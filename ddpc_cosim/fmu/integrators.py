@@ -47,7 +47,7 @@ class Integrator(Protocol):
         """
 
     def close(self) -> object:
-        """Free what the integrator holds."""
+        """Free the memory of the integrator."""
 
 
 def make_integrator(model: Model, states: int, event_indicators: int, tolerance: float) -> Integrator:

@@ -19,7 +19,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUStepError, StepStatus
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
-from ddpc_cosim.processes.fork_server import Ending
+from ddpc_cosim.processes.fork_server import ExitStatus
 from ddpc_cosim.processes.sandbox import Sandbox
 from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
@@ -38,7 +38,7 @@ T = TypeVar("T")
 Arguments = TypeVarTuple("Arguments")
 _STEP = -1  # where a message has its length
 _LONGEST_REMARK = 300
-# What NumPy and zipfile would import when they are first used there.
+# NumPy and zipfile would import these when they are first used there.
 _PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
 
 
@@ -99,7 +99,7 @@ class IsolatedSession:
         self.fmu = fmu
         self._folder, self._timeout = folder, min(step_timeout, TIMEOUT_MAX)
         self._memory = None if memory_limit is None else int(1e9 * memory_limit)
-        traced = fmu.origin.trace_calls
+        traced = fmu.source.trace_calls
         if sandboxed and traced:
             traced.touch()  # it can be written there, and not be made
         self._sandbox = Sandbox((folder, *([traced] if traced else []))) if sandboxed else None
@@ -124,7 +124,7 @@ class IsolatedSession:
             worker.channel.send(pickle.dumps((name, sent)))
             result: T = self._received(name, worker, b"")
         except BaseException as error:
-            self._end_unless_told(name, error)
+            self._end_if_lost(name, error)
             raise
         return result
 
@@ -144,7 +144,7 @@ class IsolatedSession:
                 return answer.values.copy()
             outputs: FloatArray = self._received("step", worker, bytes(answer.memory[:received]))
         except BaseException as error:
-            self._end_unless_told("step", error)
+            self._end_if_lost("step", error)
             raise
         return outputs
 
@@ -174,8 +174,8 @@ class IsolatedSession:
         """Return what a call returned, or raise what it raised; ValueError: it cannot be read."""
         content = worker.channel.receive(LONGEST_REPLY, beginning, self._timeout)
         try:
-            told, time, remark = result_of(content)
-            result, self.time = self._read(method, told), float(time)
+            answer, time, remark = result_of(content)
+            result, self.time = self._read(method, answer), float(time)
         except UnexpectedError as error:
             raise FMUStepError(f"{self.fmu.label}: {error}", StepStatus.ERROR, self.time) from error
         except FMUStepError as error:
@@ -188,21 +188,21 @@ class IsolatedSession:
             warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=4)
         return result
 
-    def _read(self, method: str, told: Any) -> Any:
-        """Return the result of a method, which is what it has to be; ValueError: it is not."""
+    def _read(self, method: str, answer: Any) -> Any:
+        """Return the result of a method, checked for type and shape; ValueError: it does not fit."""
         if method == "linearise":
-            texts = {name: tuple(map(str, told[name])) for name in ("states", "warnings")}
-            return LinearModel(**{**told, **texts})
+            texts = {name: tuple(map(str, answer[name])) for name in ("states", "warnings")}
+            return LinearModel(**{**answer, **texts})
         if method == "save_state":
-            return _SavedState(int(told), self._worker, self._freed_states)
+            return _SavedState(int(answer), self._worker, self._freed_states)
         outputs = (len(self.fmu.outputs),)
         shapes = dict.fromkeys(("reset", "step", "outputs_at"), outputs)
         shape = (shapes | {"feedthrough": (*outputs, len(self.fmu.inputs))}).get(method)
-        if shape is None or (told is None and method == "feedthrough"):
+        if shape is None or (answer is None and method == "feedthrough"):
             return None
-        if not isinstance(told, np.ndarray) or told.shape != shape:
+        if not isinstance(answer, np.ndarray) or answer.shape != shape:
             raise ValueError("it has other outputs")
-        return told
+        return answer
 
     def _number_of(self, state: object) -> int:
         """Return the number of a state in the worker."""
@@ -210,18 +210,18 @@ class IsolatedSession:
             raise ConfigError(f"{self.fmu.label}: the state to restore was not saved in this run")
         return state.number
 
-    def _end_unless_told(self, method: str, error: BaseException) -> None:
+    def _end_if_lost(self, method: str, error: BaseException) -> None:
         """End a worker that cannot be talked to any more; raise FMUStepError if that is its own fault."""
         if isinstance(error, CosimError):
             return
-        ending = self._end()
+        exit_status = self._end()
         if isinstance(error, OSError | EOFError | ValueError):
             seconds = self._timeout if isinstance(error, TimeoutError | BlockingIOError) else None
-            raise lost(self.fmu.label, method, self.time, ending, seconds) from error
+            raise lost(self.fmu.label, method, self.time, exit_status, seconds) from error
 
-    def _end(self) -> Ending:
+    def _end(self) -> ExitStatus:
         worker, self._worker = self._worker, None
-        return worker.end() if worker is not None else Ending(None)
+        return worker.end() if worker is not None else ExitStatus(None)
 
 
 class _SavedState:
@@ -233,7 +233,7 @@ class _SavedState:
 
 
 def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
-    """Do in a worker what an :class:`IsolatedSession` asks for, until it is gone."""
+    """Serve the requests of an :class:`IsolatedSession` in a worker, until that is gone."""
     session = _Service(fmu)
     request, answer = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
     answer.mark[0] = _STEP
@@ -242,15 +242,15 @@ def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
         if received < request.size or request.mark[0] != _STEP:
             method, arguments = pickle.loads(channel.receive(sys.maxsize, bytes(request.memory[:received])))
             called = partial(session.call, getattr(_Service, method), *arguments)
-            reply(channel, lambda: session.told(called()))  # noqa: B023 - called at once
+            reply(channel, lambda: session.reply_content(called()))  # noqa: B023 - called at once
             continue
         try:
             answer.values[:] = session.step(request.values, request.scalars[1])
         except Exception as error:
             reply_error(channel, error)
             continue
-        if session.remark and not session.has_told:
-            reply(channel, lambda: session.told(answer.values))
+        if session.remark and not session.remark_is_sent:
+            reply(channel, lambda: session.reply_content(answer.values))
         else:
             answer.scalars[1] = session.time
             channel.socket.sendall(answer.memory)
@@ -263,11 +263,11 @@ class _Service(FMUSession):
         super().__init__(fmu)
         self._states: dict[int, object] = {}
         self._numbers = itertools.count()
-        self.has_told = False
+        self.remark_is_sent = False
 
-    def told(self, result: object) -> list[object]:
-        """Return what is told of a call: its result, the time of the run, and what is to be said of it."""
-        self.has_told = bool(self.remark)
+    def reply_content(self, result: object) -> list[object]:
+        """Return the reply to a call: its result, the time of the run, and a remark."""
+        self.remark_is_sent = bool(self.remark)
         return [result, self.time, self.remark]
 
     def _warn(self) -> None:

@@ -238,15 +238,15 @@ class BundledLibraries:
         if match is None or match["name"] in self._loaded:
             return False
         name = match["name"]
-        found = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
-        if found is None:
+        file = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
+        if file is None:
             raise MissingLibraryError(
                 f"its library needs {name}, which is neither in the FMU nor on this machine; install it, "
                 "or add its folder to LD_LIBRARY_PATH"
             ) from error
         while True:
             try:
-                self._loaded[name] = ctypes.CDLL(str(found))
+                self._loaded[name] = ctypes.CDLL(str(file))
                 return True
             except OSError as fault:  # it may need others in turn
                 if not self.supply(fault):
@@ -316,10 +316,10 @@ def find_library(
     folders = platform_folders(description.major)
     proper = f"{_BINARIES}/{folders[0]}/{name}{library_extension()}"
     for candidate in folders:
-        found = library_in(folder / _BINARIES / candidate, name, description.major)
-        if found is not None:
-            place = f"{_BINARIES}/{candidate}/{found.name}"
-            return found, () if place == proper else (f"the library is {place} instead of {proper}",)
+        library = library_in(folder / _BINARIES / candidate, name, description.major)
+        if library is not None:
+            place = f"{_BINARIES}/{candidate}/{library.name}"
+            return library, () if place == proper else (f"the library is {place} instead of {proper}",)
     if has_sources(folder):
         keep(compile_sources(folder, description, name, folder / proper, label, tell))
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)
@@ -341,20 +341,20 @@ def compile_ahead(path: Path, tell: Callable[[str], object] = _say_nothing) -> l
     tell : callable, optional
         Called with a line before each is compiled.
     """
-    kept = list[Path]()
+    cached_folders = list[Path]()
     with suppress(CosimError, OSError, zipfile.BadZipFile):
         with zipfile.ZipFile(path) as archive:
             folders = {name.rpartition("/")[0] for name in archive.namelist()}
         ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
         if ready or not any(folder.split("/")[0] == "sources" for folder in folders):
-            return kept
+            return cached_folders
         with ScratchFolder() as folder:
             unpack(path, folder)
             description = read_description(folder, path.name)
             for interface in description.interfaces.values():
                 with suppress(FMUImportError):  # another one may do
-                    find_library(folder, description, interface, path.name, tell, kept.append)
-    return kept
+                    find_library(folder, description, interface, path.name, tell, cached_folders.append)
+    return cached_folders
 
 
 def platforms(folder: Path) -> list[str]:
@@ -383,7 +383,7 @@ def library_in(folder: Path, name: str, major: int) -> Path | None:
 
 
 def _has_functions(library: Path, major: int) -> bool:
-    """Whether a library exports what an FMU's has to, whatever the prefix."""
+    """Whether a library exports the functions that an FMU's must have, whatever the prefix."""
     from fmu_plants.export.binaries import exported_symbols
 
     name = "fmiInstantiate" if major == 1 else f"fmi{major}Instantiate"

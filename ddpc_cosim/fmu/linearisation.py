@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ddpc_cosim.description import Signal, element
+from ddpc_cosim.description import PlantSignal, element
 from ddpc_cosim.fmu.buffers import Port, Shapes, layout
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.instance import Instance, Model, reference_array
@@ -39,7 +39,7 @@ class LinearModel:
     rate : array, shape (n,)
         Derivatives of the states there [per s]; zero at an equilibrium.
     states : tuple of str
-        Names of the states; empty where the FMU does not tell.
+        Names of the states; empty where the FMU does not say.
     derivatives : str
         Where A and B come from: ``"directional"`` derivatives of the FMU, or ``"differences"``.
     warnings : tuple of str
@@ -59,18 +59,18 @@ class LinearModel:
     warnings: tuple[str, ...] = ()
 
 
-def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[Signal]:
+def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[PlantSignal]:
     """Return the numbers that variables consist of, arrays element by element."""
-    found = []
+    items = []
     for name in names:
         variable = description.variables[name]
         sizes = shapes.get(name, variable.shape)
-        found += [element(variable, indices) for indices in product(*(range(1, size + 1) for size in sizes))]
-    return found
+        items += [element(variable, indices) for indices in product(*(range(1, size + 1) for size in sizes))]
+    return items
 
 
 def directional_derivatives(
-    instance: Instance, unknowns: Sequence[Signal], knowns: Sequence[Signal], shapes: Shapes
+    instance: Instance, unknowns: Sequence[PlantSignal], knowns: Sequence[PlantSignal], shapes: Shapes
 ) -> FloatArray:
     """Return the derivatives of unknowns by knowns, shape (unknowns, knowns).
 
@@ -105,7 +105,7 @@ class OperatingPoint:
     ----------
     model : Model
         The instance, in continuous-time mode.
-    inputs, outputs : sequence of Signal
+    inputs, outputs : sequence of PlantSignal
         Real numbers to change and to read.
     shapes : mapping of str to tuple of int
         Sizes of arrays that differ from the description's.
@@ -121,7 +121,7 @@ class OperatingPoint:
     """
 
     def __init__(
-        self, model: Model, inputs: Sequence[Signal], outputs: Sequence[Signal], shapes: Shapes
+        self, model: Model, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal], shapes: Shapes
     ) -> None:
         self._model, self._n = model, model.sizes()[0]
         self._inputs, self._outputs = Port(model, inputs, shapes), Port(model, outputs, shapes)
@@ -171,7 +171,7 @@ def central_differences(around: OperatingPoint) -> FloatArray:
 
 
 def linearisation_faults(
-    description: FMUDescription, inputs: Sequence[Signal], outputs: Sequence[Signal]
+    description: FMUDescription, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> list[str]:
     """Return why an FMU cannot be linearised between some inputs and outputs; empty if it can."""
     if "model-exchange" not in description.interfaces:
@@ -199,8 +199,8 @@ def has_directional_derivatives(model: Model, description: FMUDescription, shape
 
 def linearise(
     model: Model,
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
+    inputs: Sequence[PlantSignal],
+    outputs: Sequence[PlantSignal],
     shapes: Shapes,
     description: FMUDescription,
     *,
@@ -212,7 +212,7 @@ def linearise(
     ----------
     model : Model
         The instance, in continuous-time mode.
-    inputs, outputs : sequence of Signal
+    inputs, outputs : sequence of PlantSignal
         The real numbers between which it is linearised.
     shapes : mapping of str to tuple of int
         Sizes of arrays that differ from the description's.
@@ -274,7 +274,7 @@ def linearise(
     )
 
 
-def _place_states(rows: FloatArray, states: Sequence[Signal], outputs: Sequence[Signal]) -> None:
+def _place_states(rows: FloatArray, states: Sequence[PlantSignal], outputs: Sequence[PlantSignal]) -> None:
     """Write the rows of outputs that are states, by value reference: some FMUs say 0 of them."""
     place = {(state.source.reference, state.indices): i for i, state in enumerate(states)}
     for row, signal in zip(rows, outputs, strict=True):
@@ -292,7 +292,7 @@ _WRONG, _NOISE = 1e-3, 1e-8
 _WRONG_OF_SINGLES, _NOISE_OF_SINGLES = 1e-2, 1e-6
 
 
-def contradicted(around: OperatingPoint, told: FloatArray, is_single: bool = False) -> list[int]:
+def contradicted(around: OperatingPoint, derivatives: FloatArray, is_single: bool = False) -> list[int]:
     """Return the rows of a matrix of derivatives, shape (n + p, n + m), that a small change contradicts.
 
     All states and inputs change at once, to either side. The derivative of a curved function is between what
@@ -308,15 +308,15 @@ def contradicted(around: OperatingPoint, told: FloatArray, is_single: bool = Fal
     with np.errstate(over="ignore", invalid="ignore"):  # the caller says what is not finite
         start = around.at(middle)
         wrong, noise = (_WRONG_OF_SINGLES, _NOISE_OF_SINGLES) if is_single else (_WRONG, _NOISE)
-        allowed = wrong * (np.abs(told) @ step) + noise * np.abs(start)
-        above, below = (around.at(middle + h) - start - told @ h for h in (step, -step))
+        allowed = wrong * (np.abs(derivatives) @ step) + noise * np.abs(start)
+        above, below = (around.at(middle + h) - start - derivatives @ h for h in (step, -step))
     around.at(here)
     is_wrong = (above * below < 0.0) & (np.minimum(np.abs(above), np.abs(below)) > allowed)
     return [int(row) for row in np.flatnonzero(is_wrong)]
 
 
 def _require_finite(
-    matrix: FloatArray, states: Sequence[str], inputs: Sequence[Signal], outputs: Sequence[Signal]
+    matrix: FloatArray, states: Sequence[str], inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> None:
     wrong = np.argwhere(~np.isfinite(matrix))
     if wrong.size:

@@ -15,14 +15,14 @@ from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock
 from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
 from ddpc_cosim.fmu.integrators import make_integrator
-from ddpc_cosim.fmu.run import Run, T
+from ddpc_cosim.fmu.run import FMURun, T
 from ddpc_cosim.fmu.status import CallError, termination
 from ddpc_cosim.variables import FloatArray
 
 _MOST_EVENTS_AT_ONCE = 1000
 
 
-class ModelExchangeRun(Run):
+class ModelExchangeRun(FMURun):
     """An initialised model between two samples.
 
     Parameters

@@ -17,7 +17,7 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.processes.limits import told_of_limits
+from ddpc_cosim.processes.limits import limits_warning
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.tables import plain_table
@@ -124,8 +124,8 @@ class FMUPlant(Plant):
             faults.append("sandbox = True needs isolated = True: a process of its own enters it")
         if faults:
             raise ConfigError(faults)
-        if isolated and (told := told_of_limits([] if memory_limit is None else [memory_limit])):
-            warnings.warn(f"{self.path.name}: {told}", CosimWarning, stacklevel=2)
+        if isolated and (warning := limits_warning([] if memory_limit is None else [memory_limit])):
+            warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
         self._sandbox = require() if sandbox else entered()
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
         self._scratch = ScratchFolder()
@@ -325,11 +325,11 @@ class FMUPlant(Plant):
     def provenance(self) -> Mapping[str, str]:
         """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings."""
         description = self.description
-        told = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
+        identifiers = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
         if self._fmu.tolerance is not None:
-            told["fmu_tolerance"] = repr(self._fmu.tolerance)
+            identifiers["fmu_tolerance"] = repr(self._fmu.tolerance)
         if self._sandbox:
-            told["sandbox"] = self._sandbox
+            identifiers["sandbox"] = self._sandbox
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,
@@ -337,5 +337,5 @@ class FMUPlant(Plant):
             "fmi_version": f"{description.fmi_version} {_KIND[self._fmu.interface.kind]}",
             "fmu_model": description.model_name,
             "fmu_tool": description.generation_tool,
-            **told,
+            **identifiers,
         }

@@ -20,7 +20,7 @@ class SavedState:
 
     Parameters
     ----------
-    run : Run
+    run : FMURun
         The run that it belongs to.
     handle : Any
         The FMU's own state.
@@ -28,7 +28,7 @@ class SavedState:
         What the run itself must remember.
     """
 
-    def __init__(self, run: "Run", handle: Any, bookkeeping: tuple[Any, ...]) -> None:
+    def __init__(self, run: "FMURun", handle: Any, bookkeeping: tuple[Any, ...]) -> None:
         self.run = weakref.ref(run)
         self.handle = handle
         self.bookkeeping = bookkeeping
@@ -40,7 +40,7 @@ _ONE_INSTANT = 1e-9
 
 
 class Ticks:
-    """The ticks of periodic clocks: at integer multiples of their intervals, computed and never accumulated.
+    """The ticks of periodic clocks: at integer multiples of the interval, computed and never accumulated.
 
     A tick at the instant of a sample comes after the outputs of that sample have been read, together with its
     inputs: the FMU then takes these up at once.
@@ -74,7 +74,7 @@ class Ticks:
         return self._start + self._clocks[i].shift + self.counts[i] * self._clocks[i].interval
 
 
-class Run(ABC):
+class FMURun(ABC):
     """An initialised FMU between two samples.
 
     Time is computed as an integer multiple of the step and never accumulated.

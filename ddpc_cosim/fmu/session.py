@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from ddpc_cosim.description import Signal, choose_signals
+from ddpc_cosim.description import PlantSignal, choose_signals
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
@@ -26,7 +26,7 @@ from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
 from ddpc_cosim.fmu.fmi3 import Fmi3Model, Fmi3Slave
-from ddpc_cosim.fmu.instance import Instance, Model, Origin, Slave
+from ddpc_cosim.fmu.instance import Instance, InstanceSource, Model, Slave
 from ddpc_cosim.fmu.library import find_library
 from ddpc_cosim.fmu.linearisation import (
     DERIVATIVES,
@@ -38,7 +38,7 @@ from ddpc_cosim.fmu.linearisation import (
     linearise,
 )
 from ddpc_cosim.fmu.model_exchange import ModelExchangeRun
-from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.fmu.run import FMURun
 from ddpc_cosim.fmu.status import DISCARD, FATAL, CallError
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.variables import FloatArray
@@ -48,7 +48,7 @@ Arguments = TypeVarTuple("Arguments")
 _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
-# Between these an integrator of Model Exchange does what it is told.
+# Between these limits an integrator of Model Exchange meets its tolerance.
 _TOLERANCES = (1e-12, 1e-2)
 _ONE_INSTANT = 1e-6  # of a step: where an FMU says that it ended, rounded in its own way
 
@@ -58,7 +58,7 @@ _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary
 
 @dataclass(frozen=True, slots=True)
 class UnpackedFMU:
-    """An FMU in a folder, described; nothing of its library has run.
+    """An FMU in a folder, described; its library has not run.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ class UnpackedFMU:
         What it says about itself.
     interface : Interface
         How it is run.
-    inputs, outputs : tuple of Signal
+    inputs, outputs : tuple of PlantSignal
         What is driven and what is read.
-    origin : Origin
+    source : InstanceSource
         What to load.
     warnings : tuple of str
         What is wrong with the FMU but does not keep it from running.
@@ -84,9 +84,9 @@ class UnpackedFMU:
     label: str
     description: FMUDescription
     interface: Interface
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    origin: Origin
+    inputs: tuple[PlantSignal, ...]
+    outputs: tuple[PlantSignal, ...]
+    source: InstanceSource
     warnings: tuple[str, ...]
     tolerance: float | None
     start: Mapping[str, float] = field(default_factory=dict)
@@ -97,7 +97,7 @@ class UnpackedFMU:
         return len(self.description.interfaces) > 1
 
     def remark_on_steps(self, sampling_time: float) -> str:
-        """Return what is to be said of a sampling time [s]; empty for nothing.
+        """Return a warning about a sampling time [s]; empty for none.
 
         Raises
         ------
@@ -140,7 +140,7 @@ def unpack_fmu(
     if tolerance is None and declared is not None and declared > 0.0:
         tolerance = declared
     tool = f"the FMU needs the tool that made it: {description.generation_tool}"
-    origin = Origin(
+    source = InstanceSource(
         folder=folder,
         library=library,
         kind=interface.kind,
@@ -162,7 +162,7 @@ def unpack_fmu(
         interface,
         tuple(_starting_at(start, signal) for signal in driven),
         read,
-        origin,
+        source,
         tuple(warnings),
         tolerance,
         start,
@@ -178,13 +178,13 @@ def for_model_exchange(fmu: UnpackedFMU) -> UnpackedFMU:
         It has no library for it.
     """
     interface = fmu.description.interfaces["model-exchange"]
-    library, _ = find_library(fmu.origin.folder, fmu.description, interface, fmu.label)
+    library, _ = find_library(fmu.source.folder, fmu.description, interface, fmu.label)
     identifier = interface.model_identifier
-    origin = replace(fmu.origin, library=library, kind=interface.kind, model_identifier=identifier)
-    return replace(fmu, interface=interface, origin=origin)
+    source = replace(fmu.source, library=library, kind=interface.kind, model_identifier=identifier)
+    return replace(fmu, interface=interface, source=source)
 
 
-def _starting_at(start: Mapping[str, float], signal: Signal) -> Signal:
+def _starting_at(start: Mapping[str, float], signal: PlantSignal) -> PlantSignal:
     variable = signal.variable
     return replace(signal, variable=replace(variable, start=start.get(variable.name, variable.start)))
 
@@ -208,11 +208,11 @@ class FMUSession:
     def __init__(self, fmu: UnpackedFMU) -> None:
         self.fmu = fmu
         self._instance: Instance | None = None
-        self._run: Run | None = None
+        self._run: FMURun | None = None
         self._shapes: Shapes = {}
         self._may_terminate = False
         self._time = 0.0
-        self._ending: CallError | None = None
+        self._end_error: CallError | None = None
         self._arithmetic, self.remark = KeptArithmetic(), ""
 
     def call(self, method: Callable[["FMUSession", *Arguments], T], *arguments: *Arguments) -> T:
@@ -240,7 +240,7 @@ class FMUSession:
         driven = [signal for signal in fmu.inputs if signal.variable.name not in fmu.start]
         values = StartValues(fmu.description, fmu.label, {**fmu.start, **parameters}, driven)
         self.end()
-        self._time, self._ending = t0, None
+        self._time, self._end_error = t0, None
         instance = self._instantiate()
         values.set_structural(instance)
         instance.initialize(t0, stop_time, fmu.tolerance, lambda: values.set_before_initialization(instance))
@@ -261,7 +261,7 @@ class FMUSession:
         call tells.
         """
         run = self._run
-        if run is None or self._ending is not None:
+        if run is None or self._end_error is not None:
             run = self._started("step")
         before = unusual_state()  # as by `call`, with two calls less
         try:
@@ -273,7 +273,7 @@ class FMUSession:
                 self._arithmetic.put_back(before)
                 self._tell_change()
 
-    def _last_outputs(self, run: Run, h: float, error: CallError) -> FloatArray:
+    def _last_outputs(self, run: FMURun, h: float, error: CallError) -> FloatArray:
         """Return the outputs where the FMU ended at the end of a step; raise the error if it did not."""
         if error.reached is None or error.reached < run.end_of_sample - _ONE_INSTANT * h:
             raise self._failure(error) from error
@@ -281,7 +281,7 @@ class FMUSession:
             last = run.outputs()
         except CallError as fault:
             raise self._failure(fault) from fault
-        self._time, self._ending = run.end_of_sample, error
+        self._time, self._end_error = run.end_of_sample, error
         return last
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
@@ -302,8 +302,8 @@ class FMUSession:
             faults.append(f"u has shape {np.shape(u)}; needed: {len(fmu.inputs)} numbers")
         if faults or not isinstance(run, ModelExchangeRun):
             raise ConfigError([f"{fmu.label}: {fault}" for fault in faults])
-        told = has_directional_derivatives(run.model, fmu.description, self._shapes)
-        if derivatives == "directional" and not told:
+        has_derivatives = has_directional_derivatives(run.model, fmu.description, self._shapes)
+        if derivatives == "directional" and not has_derivatives:
             raise ConfigError(f"{fmu.label}: the FMU has no directional derivatives; differences do without")
         if u is not None:
             run.hold(u)
@@ -313,7 +313,7 @@ class FMUSession:
             fmu.outputs,
             self._shapes,
             fmu.description,
-            directional=told and derivatives != "differences",
+            directional=has_derivatives and derivatives != "differences",
         )
 
     def outputs_at(self, u: FloatArray) -> FloatArray:
@@ -346,13 +346,13 @@ class FMUSession:
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run."""
-        self._ending = None  # back to before it
+        self._end_error = None  # back to before it
         self._started("restore_state").restore_state(state)
 
     @property
     def time(self) -> float:
         """Simulation time [s]."""
-        return self._run.time if self._run is not None and self._ending is None else self._time
+        return self._run.time if self._run is not None and self._end_error is None else self._time
 
     @property
     def log(self) -> tuple[str, ...]:
@@ -385,9 +385,9 @@ class FMUSession:
     def _warn(self) -> None:
         warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=5)
 
-    def _started(self, what: str) -> Run:
-        if self._ending is not None:
-            raise self._failure(self._ending) from self._ending
+    def _started(self, what: str) -> FMURun:
+        if self._end_error is not None:
+            raise self._failure(self._end_error) from self._end_error
         if self._run is None:
             raise ConfigError(f"{self.fmu.label}: {what} before reset")
         return self._run
@@ -445,7 +445,7 @@ def _make_instance(fmu: UnpackedFMU) -> Instance:
     instance: Instance
     if interface.kind == "model-exchange":
         sizes = {"states": description.continuous_states, "event_indicators": description.event_indicators}
-        instance = _MODELS[description.major](fmu.origin, **sizes)
+        instance = _MODELS[description.major](fmu.source, **sizes)
     else:
         instance = _make_slave(fmu)
     if interface.only_one_instance:
@@ -458,18 +458,18 @@ def _make_slave(fmu: UnpackedFMU) -> Slave:
     description = fmu.description
     make = _SLAVES[description.major]
     if not fmu.interface.has_event_mode:
-        return make(fmu.origin, **({"event_mode": False} if description.major == 3 else {}))
+        return make(fmu.source, **({"event_mode": False} if description.major == 3 else {}))
     # Without clocks and discrete inputs the FMU handles its events itself, unless it refuses to.
     is_discrete = any(signal.source.variability == "discrete" for signal in fmu.inputs)
     if is_discrete or description.clocks:
-        return make(fmu.origin, event_mode=True)
+        return make(fmu.source, event_mode=True)
     try:
-        return make(fmu.origin, event_mode=False)
+        return make(fmu.source, event_mode=False)
     except Exception:  # FMPy's own, for an FMU that returns no instance
-        return make(fmu.origin, event_mode=True)
+        return make(fmu.source, event_mode=True)
 
 
-def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, t0: float) -> Run:
+def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, t0: float) -> FMURun:
     """Return the run of an instance that has been initialised."""
     clocks = fmu.description.ticking_clocks(fmu.interface)
     if isinstance(instance, Slave):

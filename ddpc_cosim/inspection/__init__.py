@@ -55,12 +55,12 @@ class Inspection:
 
     @property
     def can_run(self) -> bool:
-        """Whether nothing is known that would prevent running it here."""
+        """Whether it can run here, as far as is known."""
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
     @property
     def declared(self) -> FMUDescription:
-        """The description, of which nothing is left if it cannot be read."""
+        """The description, empty if it cannot be read."""
         return self.description or _NOTHING
 
     @property
@@ -88,8 +88,8 @@ class Inspection:
     @property
     def interfaces(self) -> tuple[Interface, ...]:
         """In which ways it can be run, the preferred one first."""
-        found = self.declared.interfaces
-        return tuple(found[kind] for kind in INTERFACES if kind in found)
+        interfaces = self.declared.interfaces
+        return tuple(interfaces[kind] for kind in INTERFACES if kind in interfaces)
 
     @property
     def clocks(self) -> dict[Clock, bool]:

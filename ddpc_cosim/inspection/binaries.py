@@ -166,9 +166,9 @@ def _check_content(
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
         return ""
-    its, own = processor(content), _own_processor()
-    if its and own and its != own:
-        findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {own}")
+    its, here = processor(content), _own_processor()
+    if its and here and its != here:
+        findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {here}")
         return ""
     if is_cut_off(content):
         findings.add(CUT_OFF_LIBRARY, f"{library.parent.name}/{library.name}, {len(content)} bytes")
@@ -210,11 +210,11 @@ def _missing_libraries(library: Path, resources: Path) -> list[str]:
         needed, run_path = needed_libraries(library.read_bytes())
     except ValueError:  # damaged: the loader will tell
         return []
-    own = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
+    bundled = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
     origin = str(library.parent)
     folders = [Path(p.replace("${ORIGIN}", origin).replace("$ORIGIN", origin)) for p in run_path]
     # A path would have this very file loaded, wherever it leads: looking at an FMU must not do that.
-    foreign = [name for name in needed if name not in own | _EVERYWHERE and "/" not in name]
+    foreign = [name for name in needed if name not in bundled | _EVERYWHERE and "/" not in name]
     elsewhere = [name for name in foreign if not any((folder / name).is_file() for folder in folders)]
     return _not_in_system(elsewhere) if elsewhere else []
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.coupling.graph import Graph
-from ddpc_cosim.coupling.specification import Signals
+from ddpc_cosim.coupling.specification import PartSignals
 from ddpc_cosim.coupling.ssp import SSPSystem, read_ssp
 from ddpc_cosim.coupling.wiring import Wiring
 from ddpc_cosim.errors import ConfigError
@@ -60,7 +60,7 @@ class SystemInspection:
 
     @property
     def can_run(self) -> bool:
-        """Whether nothing is known that would prevent running it here."""
+        """Whether it can run here, as far as is known."""
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
 
@@ -96,7 +96,7 @@ def inspect_ssp(path: Path) -> SystemInspection:
 
 
 def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
-    """Return what is known of each part; what is wrong with it is noted with its name."""
+    """Return the description of each part; its faults are noted with its name."""
     known: dict[str, Inspection] = {}
     by_file: dict[str, Inspection] = {}
     for part in system.parts:
@@ -110,21 +110,21 @@ def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
 
 
 def _structure(system: SSPSystem, parts: Mapping[str, Inspection]) -> tuple[Wiring, Graph]:
-    used = {end for one in system.connections for end in (one.source, one.target)}
-    signals = {name: _signals(name, one.description, used) for name, one in parts.items() if one.description}
-    connections = [one.connection for one in system.connections]
+    used = {end for connection in system.connections for end in (connection.source, connection.target)}
+    signals = {name: _signals(name, p.description, used) for name, p in parts.items() if p.description}
+    connections = [connection.connection for connection in system.connections]
     wiring = Wiring(signals, connections, connectors=(*system.inputs, *system.outputs))
     return wiring, Graph(signals, wiring)
 
 
-def _signals(part: str, description: FMUDescription, used: set[str]) -> Signals:
+def _signals(part: str, description: FMUDescription, used: set[str]) -> PartSignals:
     """Return inputs and outputs of a part, and the other variables that something is connected to."""
     inputs = tuple(description.signals("input"))
     readable = description.signals("output", "local", "parameter", "calculatedParameter")
     outputs = tuple(
         s for s in readable if s.source.causality == "output" or f"{part}.{s.variable.name}" in used
     )
-    return Signals(
+    return PartSignals(
         tuple(signal.variable for signal in inputs),
         tuple(signal.variable for signal in outputs),
         direct_dependencies(description, inputs, outputs),
@@ -161,14 +161,14 @@ def as_data(inspection: SystemInspection) -> dict[str, Any]:
         ],
         "connections": [
             {
-                "from": one.source,
-                "to": one.target,
-                "from_unit": one.source_unit,
-                "to_unit": one.target_unit,
-                "factor": one.factor,
-                "offset": one.offset,
+                "from": connection.source,
+                "to": connection.target,
+                "from_unit": connection.source_unit,
+                "to_unit": connection.target_unit,
+                "factor": connection.factor,
+                "offset": connection.offset,
             }
-            for one in (system.connections if system else ())
+            for connection in (system.connections if system else ())
         ],
         "inputs": variables_as_data(inspection.inputs),
         "outputs": variables_as_data(inspection.outputs),

@@ -1,1 +1,1 @@
-"""The one kind of process for whatever may crash or hang: what it may do, and what it leaves behind."""
+"""The one kind of process for code that may crash or hang: what it may do, and what it leaves behind."""

@@ -47,7 +47,7 @@ ONE_THREAD = dict.fromkeys((f"{library}_NUM_THREADS" for library in ("OMP", "OPE
 }
 
 
-class Ending(NamedTuple):
+class ExitStatus(NamedTuple):
     """How a worker ended: exit code, negative for a signal, None if unknown; what it printed last.
 
     And what it had too much of, if it was ended for that; and whether it has gone with its server and other
@@ -215,17 +215,17 @@ class Forked(NamedTuple):
     pid: int
     is_alone: bool
 
-    def end(self) -> Ending:
+    def end(self) -> ExitStatus:
         """End it and all that it has started; return how it ended."""
         try:
             answer = self.server.ask({"end": self.pid})
         except OSError:  # the server has gone, and its workers with it
-            return Ending(None, is_one_of_several=len(self.server.workers) > 1)
+            return ExitStatus(None, is_one_of_several=len(self.server.workers) > 1)
         finally:
             if self.is_alone:
                 self.server._stop()
         self.server.workers.discard(self.pid)
-        return Ending(answer["code"], answer["output"], answer["excess"])
+        return ExitStatus(answer["code"], answer["output"], answer["excess"])
 
 
 @dataclass(slots=True)
@@ -252,7 +252,7 @@ class Server:
         self._selector.register(self._control, selectors.EVENT_READ)
 
     def serve(self) -> NoReturn:
-        """Answer requests until whoever asks is gone; end what is left then."""
+        """Answer requests until the client is gone; then end what is left."""
         try:
             while True:
                 limited = any(child.memory for child in self._workers.values())
@@ -263,7 +263,7 @@ class Server:
                     if pid is not None and pid > 0:
                         self._collect(pid)
                     elif pid is not None:
-                        self._bury(-pid)
+                        self._kill_leftovers(-pid)
                 if None in ready:
                     lines, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 8)
                     if not lines:
@@ -350,7 +350,7 @@ class Server:
     def _end(self, pid: int) -> dict[str, Any]:
         _kill(pid)
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        self._bury(pid)
+        self._kill_leftovers(pid)
         self._collect(pid)
         child = self._workers.pop(pid)
         with contextlib.suppress(KeyError):
@@ -359,7 +359,7 @@ class Server:
         output = child.printed.decode("utf-8", "replace")
         return {"code": code, "output": output, "excess": child.excess}
 
-    def _bury(self, pid: int) -> None:
+    def _kill_leftovers(self, pid: int) -> None:
         """End what a worker that died has left: its group, and what has left that, may hold its channel."""
         _send(-pid, signal.SIGKILL)
         child = self._workers[pid]

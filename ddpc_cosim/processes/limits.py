@@ -20,11 +20,11 @@ _IS_LOOKED_AT = sys.platform == "linux"
 
 
 def excess_of(pid: int, memory: int) -> str:
-    """Return in words what a process and its descendants have too much of; empty: nothing."""
+    """Return in words which limit a process and its descendants exceed; empty: none."""
     everyone = [pid]
-    for one in everyone:  # which grows
-        everyone += children(one) if len(everyone) <= _MOST_TASKS else ()
-    if sum(len(_tasks(one)) for one in everyone) > _MOST_TASKS:
+    for member in everyone:  # which grows
+        everyone += children(member) if len(everyone) <= _MOST_TASKS else ()
+    if sum(len(_tasks(member)) for member in everyone) > _MOST_TASKS:
         return f"more than {_MOST_TASKS} processes and threads"
     if sum(map(_resident, everyone)) > memory and sum(map(_proportional, everyone)) > memory:
         return f"more than {memory / 1e9:.3g} GB of memory"
@@ -32,7 +32,7 @@ def excess_of(pid: int, memory: int) -> str:
 
 
 def limit_tasks() -> None:
-    """Let this process, and what it will start, not go far beyond the tasks that there are now.
+    """Limit the tasks of this process, and of those that it will start, to few more than there are now.
 
     This gives whoever enforces the limit the time to do so. The kernel counts all tasks of the user, so that
     it has to be generous; and root's not at all.
@@ -45,12 +45,12 @@ def limit_tasks() -> None:
 
 
 def children(pid: int) -> set[int]:
-    """Return the children of a process, where the kernel tells them."""
-    found: set[int] = set()
+    """Return the children of a process, where the kernel lists them."""
+    child_ids: set[int] = set()
     for task in _tasks(pid):
         with suppress(OSError):
-            found.update(map(int, Path(f"/proc/{pid}/task/{task}/children").read_text().split()))
-    return found
+            child_ids.update(map(int, Path(f"/proc/{pid}/task/{task}/children").read_text().split()))
+    return child_ids
 
 
 def _tasks(pid: int) -> list[str]:
@@ -73,15 +73,15 @@ def _proportional(pid: int) -> int:
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-    except (OSError, StopIteration):  # not every kernel tells it, nor of every process
+    except (OSError, StopIteration):  # not every kernel has it, nor of every process
         return _resident(pid)
 
 
-def told_of_limits(gigabytes: Iterable[float]) -> str:
-    """Return a warning where limits of memory [GB] do nothing on this system; empty: they hold."""
+def limits_warning(gigabytes: Iterable[float]) -> str:
+    """Return a warning if limits of memory [GB] do nothing on this system; empty: they hold."""
     if _IS_LOOKED_AT or not (given := sorted(set(gigabytes))):
         return ""
-    limits = ", ".join(f"{one:g}" for one in given)
+    limits = ", ".join(f"{limit:g}" for limit in given)
     return (
         f"memory_limit = {limits} GB does nothing on this system ({platform.system()}): "
         "what a process has is looked at on Linux only"
@@ -92,7 +92,7 @@ def told_of_limits(gigabytes: Iterable[float]) -> str:
 def default_memory(workers: int = 1) -> int:
     """Return how many bytes each of some workers may have: all have a share, and so has everything else.
 
-    It is 0, for no limit, where the memory of a process is not told as on Linux.
+    It is 0, for no limit, where the memory of a process is not known as on Linux.
     """
     if not _IS_LOOKED_AT:
         return 0

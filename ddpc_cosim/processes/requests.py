@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 _REQUESTS = (signal.SIGINT, signal.SIGTERM)
-# Whatever these call is a finalizer, and so is a method of this name.
+# Everything that these call is a finalizer, and so is a method of this name.
 _FINALIZING_FILES, _FINALIZER = (weakref.__file__, _weakrefset.__file__), "__del__"
 
 
@@ -61,7 +61,7 @@ def orderly_end(*, process_ends: bool = False) -> Iterator[None]:
             hook(unraisable)
         elif unraisable.exc_value is _state.request:
             _raise_in(_outside(sys._getframe().f_back))
-        # Else it is of what was half made when the request was raised.
+        # Otherwise it belongs to something half made when the request was raised.
 
     try:
         with held():
@@ -115,7 +115,7 @@ def _raise_if_held() -> None:
 
 
 def _handle(handler: Any) -> None:
-    """Have requests handled so, but for those that are ignored."""
+    """Install this handler for requests, except for those that are ignored."""
     for number in _REQUESTS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -139,11 +139,11 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 def _outside(frame: FrameType | None) -> FrameType | None:
     """Return the frame in which the outermost finalizer was called; the given one if it is in none."""
-    outside, one = frame, frame
-    while one is not None:
-        if one.f_code.co_name == _FINALIZER or one.f_code.co_filename in _FINALIZING_FILES:
-            outside = one.f_back
-        one = one.f_back
+    outside, caller = frame, frame
+    while caller is not None:
+        if caller.f_code.co_name == _FINALIZER or caller.f_code.co_filename in _FINALIZING_FILES:
+            outside = caller.f_back
+        caller = caller.f_back
     return outside
 
 

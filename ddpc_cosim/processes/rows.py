@@ -266,7 +266,7 @@ def _mapped(path: Path, size: int) -> mmap.mmap:
 
 
 def content_of(path: Path, longest: int) -> bytes:
-    """Return the content of a file that another process has made, nothing of what a link leads to."""
+    """Return the content of a file that another process has made; links are not followed."""
     harmless = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, os.O_RDONLY | harmless), "rb") as file:

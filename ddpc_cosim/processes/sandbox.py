@@ -90,8 +90,8 @@ def missing() -> str:
         return f"the processor {platform.machine()}; known: {', '.join(_PROCESSORS)}"
     version = _landlock_version()
     if version < _LEAST_VERSION:
-        found = f"version {version}" if version > 0 else "none"
-        return f"Landlock version {_LEAST_VERSION} (Linux 6.2, and `landlock` among lsm=); there is {found}"
+        present = f"version {version}" if version > 0 else "none"
+        return f"Landlock version {_LEAST_VERSION} (Linux 6.2, and `landlock` among lsm=); there is {present}"
     if _libc().prctl(_GET_SECCOMP, 0, 0, 0, 0) < 0:
         return "seccomp (CONFIG_SECCOMP_FILTER)"
     return ""
@@ -141,7 +141,7 @@ def demanded(wanted: bool) -> Iterator[None]:
 
 
 def is_demanded() -> bool:
-    """Whether what would be run of a stranger's has to be in a sandbox."""
+    """Whether code of others must run in a sandbox."""
     return _demanded.get()
 
 
@@ -204,12 +204,12 @@ def enter(sandbox: Sandbox, *, apart: bool) -> None:
 
 
 def _readable(sandbox: Sandbox) -> list[Path]:
-    """Return what may be read: nothing that holds the home folder, or by import path temporary files."""
+    """Return the readable folders: none that contains the home folder, or by import path temporary files."""
     home, temporary = Path.home().resolve(), Path(tempfile.gettempdir()).resolve()
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
     installed = [place for place in places if not temporary.is_relative_to(place)]
-    own = [place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())]
-    return [*map(Path, _INSTALLED), *(Path("/proc", name) for name in _PROC), *own]
+    paths = [place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())]
+    return [*map(Path, _INSTALLED), *(Path("/proc", name) for name in _PROC), *paths]
 
 
 def _restrict_files(libc: ctypes.CDLL, sandbox: Sandbox) -> None:
@@ -259,42 +259,42 @@ def separate() -> None:
     itself = {"uid_map": f"{user} {user} 1", "gid_map": f"{group} {group} 1"}
     for name, line in ({"setgroups": "deny"} | itself).items():
         Path("/proc/self", name).write_text(line, encoding="ascii")
-    told, telling = os.pipe()
+    read_end, write_end = os.pipe()
     first = os.fork()
     if first != 0:
-        os.close(telling)
-        _end_like(first, told)
-    os.close(told)
+        os.close(write_end)
+        _end_like(first, read_end)
+    os.close(read_end)
     libc.prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     _check(libc.mount(b"none", b"/", None, ctypes.c_ulong(_PRIVATE), None), "mounts")
     _check(libc.mount(b"proc", b"/proc", b"proc", ctypes.c_ulong(_HARMLESS), None), "/proc")
     # With the first process of a namespace all others there end; but it does not end by its own signals, so
     # that it cannot be the one that runs the FMU.
     if second := os.fork():
-        _tell_end(libc, second, telling)
-    os.close(telling)
+        _report_end(libc, second, write_end)
+    os.close(write_end)
 
 
-def _tell_end(libc: ctypes.CDLL, pid: int, telling: int) -> NoReturn:
+def _report_end(libc: ctypes.CDLL, pid: int, write_end: int) -> NoReturn:
     """Wait for the end of a process, as of all that are left to this one, and write how it ended."""
     try:
-        libc.syscall(_CLOSE_RANGE, 0, telling - 1, 0)
-        libc.syscall(_CLOSE_RANGE, telling + 1, ctypes.c_uint(_LAST_DESCRIPTOR), 0)
+        libc.syscall(_CLOSE_RANGE, 0, write_end - 1, 0)
+        libc.syscall(_CLOSE_RANGE, write_end + 1, ctypes.c_uint(_LAST_DESCRIPTOR), 0)
         ended = status = 0
         while ended != pid:
             ended, status = os.wait()
-        os.write(telling, struct.pack("=i", status))
+        os.write(write_end, struct.pack("=i", status))
     finally:
         os._exit(LEFT_BEHIND)
 
 
-def _end_like(keeper: int, told: int) -> NoReturn:
+def _end_like(keeper: int, read_end: int) -> NoReturn:
     """Wait for the end of the process that tells of another one's, and end as that did.
 
     What this process has open stays open until then: whoever waits for its end can tell how it ended.
     """
     try:
-        content = os.read(told, struct.calcsize("=i"))
+        content = os.read(read_end, struct.calcsize("=i"))
         status = os.waitpid(keeper, 0)[1]
         code = os.waitstatus_to_exitcode(*(struct.unpack("=i", content) if content else (status,)))
         if code >= 0:

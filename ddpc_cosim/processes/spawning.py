@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
-from ddpc_cosim.processes.fork_server import LEFT_BEHIND, OUTPUT_KEPT, Ending, start_python, undisturbed
+from ddpc_cosim.processes.fork_server import LEFT_BEHIND, OUTPUT_KEPT, ExitStatus, start_python, undisturbed
 
 _TESTED_TO_FORK = ("linux",)
 _CHUNK = 1 << 16
@@ -48,13 +48,13 @@ class Spawned:
                 pipe.write(connection.share(self._process.pid))
 
     def _collect(self) -> None:
-        """Read what is printed, as nothing goes on where it is not read, and keep the end of it."""
+        """Read what is printed, because a full pipe would block the process, and keep the end of it."""
         assert self._process.stdout is not None
         with self._process.stdout as pipe:
             while chunk := pipe.read(_CHUNK):
                 self._printed = (self._printed + chunk)[-OUTPUT_KEPT:]
 
-    def end(self) -> Ending:
+    def end(self) -> ExitStatus:
         """End it and, but on Windows, what has stayed in its process group; return how it ended."""
         if sys.platform != "win32":
             with suppress(OSError):
@@ -64,7 +64,7 @@ class Spawned:
         if self._process.stdin is not None:
             self._process.stdin.close()
         self._reader.join(_REST_SECONDS)  # what has left the group may hold its output open
-        return Ending(code, self._printed.decode("utf-8", "replace"))
+        return ExitStatus(code, self._printed.decode("utf-8", "replace"))
 
 
 def become_worker(descriptor: int, run: Callable[[socket.socket], None]) -> NoReturn:

@@ -114,7 +114,7 @@ def allowed_calls(column: int) -> dict[int, tuple[Condition, ...]]:
     """
     calls = (entry.split() for group in _ALLOWED.values() for entry in group.strip(" ;\n").split(";"))
     return {
-        int(numbers[column]): tuple(Condition(*one) for one in _CONDITIONS.get(name, ()))
+        int(numbers[column]): tuple(Condition(*condition) for condition in _CONDITIONS.get(name, ()))
         for name, *numbers in calls
         if numbers[column] != "-"
     }

@@ -1,4 +1,4 @@
-"""The one kind of process for whatever may crash or hang: the cases of a study, isolated FMUs, checks.
+"""The one kind of process for code that may crash or hang: the cases of a study, isolated FMUs, checks.
 
 A worker protects against faults; against malice only in a sandbox: else it has the user's rights.
 
@@ -28,7 +28,7 @@ from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.fork_server import (
     ONE_THREAD,
     START_SECONDS,
-    Ending,
+    ExitStatus,
     Forked,
     ForkServer,
     here,
@@ -55,13 +55,13 @@ class LostWorkerError(Exception):
 
     Parameters
     ----------
-    ending : Ending or None
+    exit_status : ExitStatus or None
         How its process ended; None: it was not done in time.
     """
 
-    def __init__(self, ending: Ending | None) -> None:
-        super().__init__("not done in time" if ending is None else str(ending))
-        self.ending = ending
+    def __init__(self, exit_status: ExitStatus | None) -> None:
+        super().__init__("not done in time" if exit_status is None else str(exit_status))
+        self.exit_status = exit_status
 
 
 _ERRORS: dict[str, type[Any]] = {"": UnexpectedError} | {
@@ -213,11 +213,11 @@ def _error(name: str, arguments: list[Any]) -> CosimError | UnexpectedError:
     return kind(texts) if issubclass(kind, ConfigError | DataError) else kind(*texts)
 
 
-def lost(who: str, call: str, time: float, ending: Ending, seconds: float | None = None) -> FMUStepError:
+def lost(who: str, call: str, time: float, end: ExitStatus, seconds: float | None = None) -> FMUStepError:
     """Return the error for a call in a worker that crashed, or did not return within so many seconds."""
     place = f"in {_PHASES.get(call, call)}" + (f" at t = {time:g} s" if math.isfinite(time) else "")
     if seconds is None:
-        return FMUStepError(f"{who}: crashed {place}: {ending}", StepStatus.CRASHED, time)
+        return FMUStepError(f"{who}: crashed {place}: {end}", StepStatus.CRASHED, time)
     return FMUStepError(
         f"{who}: no return within {seconds:g} s {place}; its process was ended; "
         "raise step_timeout if it needs longer",
@@ -266,7 +266,7 @@ class Worker:
     ) -> None:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
-        self._owner, self._ending = os.getpid(), Ending(None)
+        self._owner, self._exit_status = os.getpid(), ExitStatus(None)
         # In a sandbox none can be made, and what a list there says is not to be believed.
         self._shared = None if sandbox else folder / f"shared-memory-{uuid.uuid4().hex}"
         self._process: Forked | spawning.Spawned | None = None
@@ -307,18 +307,18 @@ class Worker:
         except (OSError, EOFError, ValueError) as error:
             raise LostWorkerError(self.end()) from error
 
-    def end(self) -> Ending:
+    def end(self) -> ExitStatus:
         """End the process and all that it has forked; return how it ended, if it had not been ended before.
 
         In a forked copy of this process, the worker is left alone.
         """
         process, self._process = self._process, None
         if process is not None and os.getpid() == self._owner:
-            self._ending = process.end()
+            self._exit_status = process.end()
             if self._shared is not None:
                 remove_shared_memory(self._shared)
         self.channel.socket.close()
-        return self._ending
+        return self._exit_status
 
 
 def _start(

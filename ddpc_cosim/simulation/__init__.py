@@ -21,7 +21,7 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
-from ddpc_cosim.simulation.request import Prepared, Request, prepare
+from ddpc_cosim.simulation.request import Prepared, SimulationRequest, prepare
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
@@ -206,7 +206,7 @@ def simulate(
     ]
     if faults:
         raise ConfigError(faults)
-    request = Request(
+    request = SimulationRequest(
         plant=str(plant),
         inputs=None if inputs is None else _input_file(inputs),
         values=parameters or {},
@@ -235,7 +235,7 @@ def _are_signals(inputs: object) -> bool:
 
 
 def _are_names(outputs: Any) -> bool:
-    """Whether something is a list of names, or nothing; a text is not one of letters."""
+    """Whether something is a list of names, or None; a text does not count as a list of letters."""
     is_list = isinstance(outputs, Iterable) and not isinstance(outputs, str)
     return outputs is None or (is_list and all(isinstance(name, str) for name in outputs))
 

@@ -137,23 +137,23 @@ class Golden:
             return Difference(
                 False, f"{label}: differs: the run ended before its last time, {last} ({ended})"
             )
-        found = columns[self._rows]
+        result = columns[self._rows]
         spans, sizes = np.ptp(self.values, axis=0), np.abs(self.values).max(axis=0)
         allowed = rel * spans + _RELATIVE_FLOOR * sizes + _FLOOR
-        differences = np.abs(found - self.values)
+        differences = np.abs(result - self.values)
         wrong = ~(differences <= allowed)  # which NaN is, too
         row, column = np.unravel_index(
             np.argmax(np.nan_to_num(differences / allowed, nan=np.inf)), wrong.shape
         )
-        name, one = self.names[column], (row, column)
+        name, cell = self.names[column], (row, column)
         worst = (
-            f"{name} at t = {self.time[row]:.9g} s is {found[one]:.9g}, golden {self.values[one]:.9g}: "
-            f"difference {differences[one]:.3g}, allowed {allowed[column]:.3g}"
+            f"{name} at t = {self.time[row]:.9g} s is {result[cell]:.9g}, golden {self.values[cell]:.9g}: "
+            f"difference {differences[cell]:.3g}, allowed {allowed[column]:.3g}"
         )
         if not wrong.any():
             samples = f"{len(self.time)} of {len(columns)} samples"
             signals = ", ".join(self._some(self.names))
-            if not differences[one]:
+            if not differences[cell]:
                 return Difference(True, f"{label}: equal to the last bit at {samples}: {signals}")
             return Difference(True, f"{label}: agrees at {samples}: {signals}; the worst: {worst}")
         signals = ", ".join(

@@ -1,4 +1,4 @@
-"""What a simulation is asked for: checked, all faults at once, and what is chosen where nothing is said."""
+"""What a simulation is asked for: checked, all faults at once, and completed by defaults."""
 
 import math
 import re
@@ -33,7 +33,7 @@ _INTEGER = re.compile(r"\s*[+-]?\d{1,30}\s*")
 _QUANTITY = re.compile(r"\s*(?P<number>[^\s\[]+)\s*(?P<bracket>\[)?(?P<unit>.*?)(?(bracket)\])\s*")
 
 
-class Request(NamedTuple):
+class SimulationRequest(NamedTuple):
     """What is asked for; parameters as of :func:`simulate`, inputs and golden file read but not looked at."""
 
     plant: str
@@ -59,10 +59,10 @@ class Prepared(NamedTuple):
 
 
 class _Faults(list[str]):
-    """Faults of a request, collected so that all are told at once."""
+    """Faults of a request, collected so that all are reported at once."""
 
     def collect(self, check: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a check returns; None where it finds faults, which are kept."""
+        """Return the result of a check; None where it finds faults, which are collected."""
         try:
             return check(*arguments)
         except (ConfigError, DataError) as error:
@@ -88,7 +88,7 @@ class _Subject:
     def readable(
         self, wanted: Sequence[str] | None, golden: CSVFile | None
     ) -> tuple[list[Variable], list[str]]:
-        """Return what is recorded, and what there is to say of the choice.
+        """Return the recorded variables, and remarks on the choice.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class _FMUSubject(_Subject):
     def readable(
         self, wanted: Sequence[str] | None, golden: CSVFile | None
     ) -> tuple[list[Variable], list[str]]:
-        """Return what is recorded, and what there is to say of the choice; errors as of any plant."""
+        """Return the recorded variables, and remarks on the choice; errors as of any plant."""
         notes = list[str]()
         if wanted is None:
             chosen, notes = self._default_outputs()
@@ -192,11 +192,11 @@ class _FMUSubject(_Subject):
             return states, ["the FMU has no outputs: its states are recorded"]
         local = list(description.signals("local"))
         moving = [s for s in local if s.source.values == "real" and s.source.variability == "continuous"]
-        found = [signal.variable.name for signal in moving or local]
-        if not found:
+        locals_ = [signal.variable.name for signal in moving or local]
+        if not locals_:
             return [], ["the FMU has neither outputs nor local variables: nothing is recorded"]
-        some = f"the first {_MOST_LOCALS} of {len(found)}" if len(found) > _MOST_LOCALS else "all"
-        return found[:_MOST_LOCALS], [f"the FMU has no outputs: local variables are recorded, {some}"]
+        some = f"the first {_MOST_LOCALS} of {len(locals_)}" if len(locals_) > _MOST_LOCALS else "all"
+        return locals_[:_MOST_LOCALS], [f"the FMU has no outputs: local variables are recorded, {some}"]
 
     def _check_values(self, values: Mapping[str, ParameterValue], driven: Sequence[str]) -> None:
         from ddpc_cosim.fmu.buffers import StartValues
@@ -209,7 +209,7 @@ class _FMUSubject(_Subject):
         return super()._parameter(name) if signal is None else signal.variable
 
 
-def _subject(request: Request) -> _Subject:
+def _subject(request: SimulationRequest) -> _Subject:
     """Return the plant that a request names, ready to run."""
     path = Path(request.plant)
     is_file = path.suffix.lower() in (".fmu", ".ssp") or (bool(path.suffix) and path.is_file())
@@ -229,7 +229,7 @@ def _subject(request: Request) -> _Subject:
     return (_FMUSubject if spec.fmu else _Subject)(label, spec, spec.variables())
 
 
-def prepare(request: Request) -> Prepared:
+def prepare(request: SimulationRequest) -> Prepared:
     """Check what is asked for, and choose the rest.
 
     Raises
@@ -344,7 +344,7 @@ def _impossible(
 
 
 def _times(
-    subject: _Subject, request: Request, driven: Mapping[str, Steps], golden: Golden | None
+    subject: _Subject, request: SimulationRequest, driven: Mapping[str, Steps], golden: Golden | None
 ) -> tuple[float, float, int, list[str]]:
     """Return start time, time between samples [s], number of intervals, and what was chosen."""
     experiment = subject.description.default_experiment
@@ -405,7 +405,7 @@ def _check_covered(file: CSVFile, driven: Mapping[str, Steps], start: float, end
         return
 
 
-def _check_writable(request: Request) -> None:
+def _check_writable(request: SimulationRequest) -> None:
     """Raise ConfigError if calls cannot be written to the file for them, or if it is one that is read."""
     path = Path(request.trace_calls)
     files = [file.path for file in (request.inputs, request.golden) if file is not None]

@@ -11,7 +11,7 @@ from ddpc_cosim.codec import ValidationErrors, declared_fields, read_in
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import find_modules_in
-from ddpc_cosim.processes.limits import told_of_limits
+from ddpc_cosim.processes.limits import limits_warning
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
@@ -99,7 +99,7 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     _warn_of_references(problems)
     _warn_of_missing_libraries(problems)
     limits = (one.study.loop.memory_limit for one in problems.values())
-    if told := told_of_limits(limit for limit in limits if limit is not None):
+    if told := limits_warning(limit for limit in limits if limit is not None):
         warnings.warn(told, CosimWarning, stacklevel=2)
     return ResolvedProblems(head or first, problems, file)
 

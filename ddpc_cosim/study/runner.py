@@ -537,7 +537,7 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
             return worker.call(_answer, function, case, *surrounding, seconds=seconds)
         except LostWorkerError as error:
             reason = f"its process crashed: {error}"
-            if error.ending is None:
+            if error.exit_status is None:
                 reason = f"not done within {seconds:g} s; raise loop.case_timeout if it needs longer"
             raise CosimError(f"{case.name}: {reason}") from error
         except UnexpectedError as error:
@@ -783,8 +783,8 @@ class _Run:
     def _end_worker(self, seconds: float | None = None) -> None:
         """End a worker that has died or is to die, and write what it has left."""
         call, case, count = self._store.call, self.case, self._store.count
-        ending = self.worker.end()
-        if seconds is None and ending.is_one_of_several:
+        exit_status = self.worker.end()
+        if seconds is None and exit_status.is_one_of_several:
             self.may_be_a_bystander = True
             return
         who, time = "the run", math.nan
@@ -793,7 +793,7 @@ class _Run:
         elif call.who == "controller":
             who = f"controller {case.section['type']}"
             time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
-        error = lost(who, call.name or "between two calls", time, ending, seconds)
+        error = lost(who, call.name or "between two calls", time, exit_status, seconds)
         when = "" if count else "before the first sample: "
         if call.name.partition(" ")[0] in _AT_THE_END:
             when = "after the last sample: "

@@ -7,7 +7,7 @@ from functools import partial
 from numbers import Real
 from typing import Any
 
-from ddpc_cosim.description import Declarations, Signal, choose_signals, elements_of
+from ddpc_cosim.description import Declarations, PlantSignal, choose_signals, elements_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import StartValues
 from ddpc_cosim.fmu.co_simulation import StepSizes
@@ -78,7 +78,7 @@ class Request:
             elif signal is not None:
                 yield from (f"range of {name}: {fault}" for fault in self._contradictions(name, signal))
 
-    def _contradictions(self, name: str, signal: Signal) -> Iterator[str]:
+    def _contradictions(self, name: str, signal: PlantSignal) -> Iterator[str]:
         """Yield why a range of a signal does not go with what else is declared or asked for."""
         (low, high), variable = self.ranges[name], signal.variable
         if low < variable.min or high > variable.max:
@@ -107,7 +107,7 @@ class Request:
                 yield str(error)
 
 
-def _unfit(description: Declarations, name: str, signal: Signal | None) -> str:
+def _unfit(description: Declarations, name: str, signal: PlantSignal | None) -> str:
     """Return why a name is not that of an input or output; empty if it is."""
     variable = description.variables.get(name)
     if signal is None and variable is not None:
@@ -130,7 +130,7 @@ def _not_a_range(pair: Any) -> str:
     return ""
 
 
-def _number(signal: Signal, value: ParameterValue) -> float:
+def _number(signal: PlantSignal, value: ParameterValue) -> float:
     """Return a value that has been checked as a number: those of enumerations have names."""
     if isinstance(value, str) and value in signal.source.items:
         return float(signal.source.items[value])

@@ -38,7 +38,7 @@ MakeController = Callable[[], Controller]
 def check_plant(
     make_plant: MakePlant, *, sampling_time: float = 0.1, steps: int = 20, tolerance: float = 1e-3
 ) -> list[CheckResult]:
-    """Check a plant against the contract; nothing that it raises comes out.
+    """Check a plant against the contract; its errors do not propagate.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def check_plant(
 def check_controller(
     make_controller: MakeController, *, sampling_time: float = 0.1, steps: int = 60
 ) -> list[CheckResult]:
-    """Check a controller against the contract; nothing that it raises comes out.
+    """Check a controller against the contract; its errors do not propagate.
 
     The plant of the checks is x' = u - x, with input ``u1`` and output ``y1``, or two of these that act a
     little on each other, for controllers that refuse one; inputs are limited to 1, outputs to 2.

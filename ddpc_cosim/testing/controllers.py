@@ -257,7 +257,7 @@ def handles_a_missing_measurement_as_declared(subject: ControllerUnderTest) -> N
             lost = missing if k == subject.steps // 2 else None
             _attempt(test_loop, lost, "although it declares accepts_missing")
         _require_within(plant, test_loop.result())
-        _require_told(test_loop.result(), subject.steps // 2)
+        _require_reported(test_loop.result(), subject.steps // 2)
     else:
         _require_not_silent(test_loop, missing, subject.steps // 2)
     controller.start(loop)
@@ -343,10 +343,10 @@ def _require_not_silent(test_loop: TestLoop, missing: FloatArray, steps: int) ->
         return
     run = test_loop.result()
     if np.isfinite(run.u).all():
-        _require_told(run, steps)
+        _require_reported(run, steps)
 
 
-def _require_told(run: LoopResult, since: int) -> None:
+def _require_reported(run: LoopResult, since: int) -> None:
     if all(status == OK for status in run.status[since:]):
         raise CheckFailedError("a measurement of NaN passes without a status other than 'ok'")
 

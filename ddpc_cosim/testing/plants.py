@@ -59,7 +59,7 @@ class PlantUnderTest:
         return np.array(rows)
 
     def reset(self, plant: Plant, share: float = 1.0) -> FloatArray:
-        """Tell the plant what is coming, steps of a share of the sampling time, and reset it."""
+        """Plan steps of a fraction of the sampling time for the plant, and reset it."""
         plant.plan(share * self.sampling_time, self.steps * self.sampling_time)
         return plant.reset()
 
@@ -93,10 +93,10 @@ def returns_arrays_of_the_right_shape(subject: PlantUnderTest) -> None:
 
 def _require_shape(what: str, y: object, outputs: int) -> None:
     if not isinstance(y, np.ndarray) or y.dtype != np.float64 or y.shape != (outputs,):
-        found = f"{type(y).__name__}"
+        returned = f"{type(y).__name__}"
         if isinstance(y, np.ndarray):
-            found = f"an array of {y.dtype}, shape {y.shape}"
-        raise CheckFailedError(f"{what} returned {found}; needed: an array of float64, shape ({outputs},)")
+            returned = f"an array of {y.dtype}, shape {y.shape}"
+        raise CheckFailedError(f"{what} returned {returned}; needed: an array of float64, shape ({outputs},)")
 
 
 def returns_finite_numbers(subject: PlantUnderTest) -> None:

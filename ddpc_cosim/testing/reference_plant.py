@@ -161,8 +161,8 @@ def answer(controller: Controller, sample: Sample, inputs: int) -> Action:
     action = answered if isinstance(answered, Action) else Action(answered)
     u: object = action.u
     if not isinstance(u, np.ndarray) or u.dtype != np.float64 or u.shape != (inputs,):
-        found = f"an array of {u.dtype}, shape {u.shape}" if isinstance(u, np.ndarray) else type(u).__name__
-        raise CheckFailedError(f"step returned {found}; needed: an array of float64, shape ({inputs},)")
+        shown = f"an array of {u.dtype}, shape {u.shape}" if isinstance(u, np.ndarray) else type(u).__name__
+        raise CheckFailedError(f"step returned {shown}; needed: an array of float64, shape ({inputs},)")
     if not isinstance(action.status, str) or not action.status:
         raise CheckFailedError(f"step returned the status {action.status!r}; needed: a text, as 'ok'")
     return action

@@ -14,7 +14,7 @@ from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
-from ddpc_cosim.processes.fork_server import Ending
+from ddpc_cosim.processes.fork_server import ExitStatus
 from ddpc_cosim.processes.sandbox import Sandbox, demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
@@ -160,7 +160,7 @@ def _parse(settings: Sequence[str]) -> dict[str, Any]:
         return toml_tables("\n".join(settings))
     except DeepTablesError as error:
         raise ConfigError(f"--setting: {error}") from error
-    except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+    except (ValueError, RecursionError) as error:  # too long numbers and too deep nesting are not TOML errors
         raise ConfigError(f"--setting: not TOML: {error}; write text in quotes: 'name = \"text\"'") from error
 
 
@@ -246,16 +246,16 @@ class _CheckWorker:
             return CheckResult(name, CheckStatus(status), reason)
         except LostWorkerError as error:
             self._end()
-            reason = f"did not end within {timeout:g} s" if error.ending is None else f"crashed: {error}"
+            reason = f"did not end within {timeout:g} s" if error.exit_status is None else f"crashed: {error}"
         except (ValueError, TypeError):
             reason = f"crashed: {self._end()}"
         except UnexpectedError as error:
             reason = f"the check cannot be run: {error}"
         return CheckResult(name, CheckStatus.FAILED, reason)
 
-    def _end(self) -> Ending:
+    def _end(self) -> ExitStatus:
         worker, self._worker = self._worker, None
-        return worker.end() if worker is not None else Ending(None)
+        return worker.end() if worker is not None else ExitStatus(None)
 
 
 def _run(subject: Subject, name: str, sampling_time: float) -> tuple[str, str]:

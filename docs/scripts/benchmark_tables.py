@@ -29,21 +29,21 @@ def rows(*cells: Sequence[str]) -> str:
     return "\n".join([head, "|---" * len(cells[0]) + "|", *body]) + "\n"
 
 
-def methods(found: Overall) -> str:
+def methods(results: Overall) -> str:
     """Return ranks, shares, failed runs and cost of each method, the best rank first."""
-    far = found.distances
+    far = results.distances
     assert far is not None
     table = [
         ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "needs data"]
     ]
-    for key, one in found.controllers.items():
-        failed, runs = found.failed[key]
+    for key, controller in results.controllers.items():
+        failed, runs = results.failed[key]
         step, samples = far.step[key] * 1e6, far.recorded[key]
         share = far.overall[key]
         table.append(
             [
-                one.label,
-                f"{found.ranks.ranks[key]:.1f}",
+                controller.label,
+                f"{results.ranks.ranks[key]:.1f}",
                 f"{share_words(share)}{interval_words(share)}",
                 f"{failed} of {runs}",
                 f"{step:.0f} us",
@@ -53,32 +53,38 @@ def methods(found: Overall) -> str:
     return rows(*table)
 
 
-def problems(found: Overall) -> str:
+def problems(results: Overall) -> str:
     """Return the share of each method in each problem."""
-    far = found.distances
+    far = results.distances
     assert far is not None
     table = [["method", *far.problems]]
-    for key, one in found.controllers.items():
-        cells = [share_words(own[key]) if key in own else "" for own in far.problems.values()]
-        table.append([one.label, *cells])
+    for key, controller in results.controllers.items():
+        cells = [
+            share_words(distances[key]) if key in distances else "" for distances in far.problems.values()
+        ]
+        table.append([controller.label, *cells])
     return rows(*table)
 
 
-def kinds(found: Overall) -> str:
+def kinds(results: Overall) -> str:
     """Return which kinds tuning chose for each method, and in how many problems."""
-    shown = [[one.label, found.chosen[key]] for key, one in found.controllers.items() if key in found.chosen]
+    shown = [
+        [controller.label, results.chosen[key]]
+        for key, controller in results.controllers.items()
+        if key in results.chosen
+    ]
     return rows(["method", "chosen, and in how many of the problems"], *shown)
 
 
 def chosen(paths: Iterable[Path]) -> dict[tuple[str, str], dict[str, str]]:
     """Return the trial that was chosen, by problem and controller."""
-    found = {}
+    settings = {}
     for path in paths:
         with path.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
                 if row["chosen"] == "true":
-                    found[row["problem"], row["controller"]] = row
-    return found
+                    settings[row["problem"], row["controller"]] = row
+    return settings
 
 
 def ends(trials: dict[tuple[str, str], dict[str, str]]) -> str:
@@ -88,18 +94,18 @@ def ends(trials: dict[tuple[str, str], dict[str, str]]) -> str:
         if row["at ends"]:
             hit.setdefault(controller, []).append(f"{row['at ends']} ({problem})")
     table = [["method", "settings within 3 % of an end (problem)"]]
-    return rows(*table, *([controller, "; ".join(own)] for controller, own in hit.items()))
+    return rows(*table, *([controller, "; ".join(settings)] for controller, settings in hit.items()))
 
 
 def order(trials: dict[tuple[str, str], dict[str, str]], problem: str) -> dict[str, tuple[float, float]]:
     """Return the failed runs and the error of each controller's chosen trial in a problem, the best first."""
-    found = {}
+    failures_and_errors = {}
     for (where, controller), row in trials.items():
         if where == problem:
             error = next(value for key, value in row.items() if key.startswith(_OBJECTIVE))
             failed = row["runs failed"] if "runs failed" in row else row["runs lost"]
-            found[controller] = (float(failed), float(error))
-    return dict(sorted(found.items(), key=lambda one: one[1]))
+            failures_and_errors[controller] = (float(failed), float(error))
+    return dict(sorted(failures_and_errors.items(), key=lambda item: item[1]))
 
 
 def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) -> str:
@@ -110,12 +116,13 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) 
     for path in others:
         second = chosen([path])
         problem = next(iter(second))[0]
-        one, two = order(first, problem), order(second, problem)
-        one = {name: value for name, value in one.items() if name in two}  # a reference point is tuned once
-        ranks = [[[*sorted(of.values())].index(of[name]) for name in one] for of in (one, two)]
+        earlier, later = order(first, problem), order(second, problem)
+        # a reference point is tuned once
+        earlier = {name: value for name, value in earlier.items() if name in later}
+        ranks = [[[*sorted(of.values())].index(of[name]) for name in earlier] for of in (earlier, later)]
         moved = [
-            f"{name} {one[name][1]:.3g}, {two[name][1]:.3g}"
-            for name, a, b in zip(one, *ranks, strict=True)
+            f"{name} {earlier[name][1]:.3g}, {later[name][1]:.3g}"
+            for name, a, b in zip(earlier, *ranks, strict=True)
             if a != b
         ]
         table.append([problem, f"{kendalltau(*ranks).statistic:.2f}", "; ".join(moved) or "none"])
@@ -124,18 +131,18 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) 
 
 def main(results: Path, first: str, *others: str) -> None:
     """Write the tables anew."""
-    found = overall(load_results(results).problems())
-    assert found is not None
+    across = overall(load_results(results).problems())
+    assert across is not None
     trials = chosen(Path(path) for path in first.split(","))
     tables = {
-        "methods": methods(found),
-        "problems": problems(found),
-        "kinds": kinds(found),
+        "methods": methods(across),
+        "problems": problems(across),
+        "kinds": kinds(across),
         "ends": ends(trials),
         "again": again(trials, map(Path, others)),
     }
     text = PAGE.read_text(encoding="utf-8")
-    text = _TABLE.sub(lambda one: one[1] + tables[one[2]] + one[3], text)
+    text = _TABLE.sub(lambda match: match[1] + tables[match[2]] + match[3], text)
     PAGE.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -19,10 +19,12 @@ Array = np.ndarray
 def p_values(rows: Array, statistic: Callable[[Array], Array]) -> Array:
     """Return step-down max-T p-values by any statistic of flipped rows, shape (tests, flips, seeds)."""
     signs = _signs(rows.shape[1], 999)
-    found = np.concatenate([statistic(rows[:, None] * part) for part in np.array_split(signs, 16)], axis=1)
-    order = np.argsort(-found[:, 0], kind="stable")
-    largest = np.maximum.accumulate(found[order][::-1], axis=0)[::-1]
-    share = (largest >= found[order, :1] * (1 - 1e-9)).mean(axis=1)
+    statistics = np.concatenate(
+        [statistic(rows[:, None] * part) for part in np.array_split(signs, 16)], axis=1
+    )
+    order = np.argsort(-statistics[:, 0], kind="stable")
+    largest = np.maximum.accumulate(statistics[order][::-1], axis=0)[::-1]
+    share = (largest >= statistics[order, :1] * (1 - 1e-9)).mean(axis=1)
     p = np.empty(len(rows))
     p[order] = np.maximum.accumulate(share)
     return p
@@ -44,7 +46,7 @@ TESTS: dict[str, Callable[[Array], Array]] = {
 def power(scene: str, seeds: int, studies: int) -> dict[str, float]:
     """Return by statistic the share of the leader's pairs that are told apart, in percent."""
     rng = np.random.default_rng(seeds)
-    told: dict[str, list[float]] = {name: [] for name in TESTS}
+    shares: dict[str, list[float]] = {name: [] for name in TESTS}
     counted = (PAIRS[:, 0] == 0) & ((PAIRS[:, 1] < 13) | (scene != SCENES[1]))
     for _ in range(studies):
         values = rng.normal(size=(14, seeds))
@@ -55,14 +57,15 @@ def power(scene: str, seeds: int, studies: int) -> dict[str, float]:
             values[0] -= 3
         rows = values[PAIRS[:, 0]] - values[PAIRS[:, 1]]
         for name, test in TESTS.items():
-            told[name].append(float((test(rows)[counted] <= 0.05).mean()))
-    return {name: 100 * float(np.mean(shares)) for name, shares in told.items()}
+            shares[name].append(float((test(rows)[counted] <= 0.05).mean()))
+    return {name: 100 * float(np.mean(of_test)) for name, of_test in shares.items()}
 
 
 if __name__ == "__main__":
     for scene in SCENES:
         for seeds in (6, 8, 15, 20):
-            found = power(scene, seeds, 1000 if seeds < 10 else 50)
+            powers = power(scene, seeds, 1000 if seeds < 10 else 50)
             print(
-                f"| {scene} | {seeds} | {' | '.join(f'{told:.0f}' for told in found.values())} |", flush=True
+                f"| {scene} | {seeds} | {' | '.join(f'{percent:.0f}' for percent in powers.values())} |",
+                flush=True,
             )

@@ -141,15 +141,15 @@ def export_block(
     Parameters and errors as of `export_fmu`.
     """
     compilers = _compilers(platforms)
-    own = frozenset(block.sources)
+    sources = frozenset(block.sources)
     source = _fmu_source(
         fmi_version,
         block.contents(),
         block.code(),
         {**block.sources, **_runtime(*_SAMPLED)},
         resources=block.resources,
-        packed=None if platforms is None else own,
-        apart=own,
+        packed=None if platforms is None else sources,
+        apart=sources,
     )
     return _write(source, Path(path), compilers, progress)
 

@@ -203,8 +203,8 @@ class FullDeePC:
     def _weight_of_g_s(self) -> FloatArray:
         """Return lambda_g (I + 0.3 (I - Pi)), Pi projecting on what the outputs are predicted from."""
         known = np.vstack([rows for name, rows in self._data.items() if name != "y"])
-        one = np.eye(known.shape[1])
-        return self._settings.lambda_g * (one + 0.3 * (one - np.linalg.pinv(known) @ known))
+        identity = np.eye(known.shape[1])
+        return self._settings.lambda_g * (identity + 0.3 * (identity - np.linalg.pinv(known) @ known))
 
     def _weight_of_g(self, columns: int) -> Any:
         if self._settings.regulariser != "projection":

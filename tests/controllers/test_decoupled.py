@@ -48,8 +48,8 @@ def test_two_by_two_equals_two_loops(method: Controller) -> None:
     loop = make_loop(everything, np.full(2, LIMIT), np.full(2, 50.0))
     together = close_loop(method, loop, WHOLE.advance, WHOLE.c, REFERENCE, 100)
     for i, part in enumerate(PARTS):
-        own = make_loop(recorded(part, EXCITATION[:, [i]]), np.full(1, LIMIT), np.full(1, 50.0))
-        alone = close_loop(method, own, part.advance, part.c, REFERENCE[:, [i]], 100)
+        part_loop = make_loop(recorded(part, EXCITATION[:, [i]]), np.full(1, LIMIT), np.full(1, 50.0))
+        alone = close_loop(method, part_loop, part.advance, part.c, REFERENCE[:, [i]], 100)
         assert np.abs(together.u[:, [i]] - alone.u).max() < 1e-6
         assert np.abs(alone.u).max() <= LIMIT
 
@@ -68,6 +68,6 @@ def test_decentralised_control_is_two_loops_bit_for_bit() -> None:
     loop = make_loop(everything, np.full(2, LIMIT), np.full(2, 50.0))
     together = close_loop(Decentralised(groups=groups), loop, WHOLE.advance, WHOLE.c, REFERENCE, 100)
     for i, part in enumerate(PARTS):
-        own = make_loop(recorded(part, EXCITATION[:, [i]]), np.full(1, LIMIT), np.full(1, 50.0))
-        alone = close_loop(groups[i].controller, own, part.advance, part.c, REFERENCE[:, [i]], 100)
+        part_loop = make_loop(recorded(part, EXCITATION[:, [i]]), np.full(1, LIMIT), np.full(1, 50.0))
+        alone = close_loop(groups[i].controller, part_loop, part.advance, part.c, REFERENCE[:, [i]], 100)
         assert np.abs(together.u[:, [i]] - alone.u).max() < 1e-12

@@ -200,10 +200,10 @@ class TestL1:
             upper = np.where(used, -5.0 * sign, 5.0) - fixed + tolerance
             lower = np.where(used, -5.0 * sign, -5.0) - fixed - tolerance
             past = windows[:3].T
-            found = linprog(
+            optimum = linprog(
                 np.zeros(3), np.vstack([past, -past]), np.concatenate([upper, -lower]), bounds=(None, None)
             )
-            assert found.status == 0
+            assert optimum.status == 0
 
     def test_few_windows_are_used(self) -> None:
         recording = self.short()
@@ -332,8 +332,8 @@ def test_a_step_says_its_cost_its_active_bounds_and_where_it_is_going(
     """Against the full problem in the regulation form, whose cost is a sum of four squares."""
     controller = DeePC(**REGULATION, regulariser="ridge", output_weight=1e3)
     loop = pendulum_loop(paper_recording, torque=torque)
-    told = Told(controller)
-    run = close_loop(told, loop, quick_pendulum, ANGLE, paper_reference(), steps=140)
+    witness = Told(controller)
+    run = close_loop(witness, loop, quick_pendulum, ANGLE, paper_reference(), steps=140)
     full = FullDeePC(controller, paper_recording, loop.bounds)
     past_y = full._windows(paper_recording)["y_ini"]
     for k in (5, 40, 98, 100, 103, 120):
@@ -347,13 +347,13 @@ def test_a_step_says_its_cost_its_active_bounds_and_where_it_is_going(
             + controller.lambda_g * (plan.g**2).sum()
             + controller.lambda_sigma * (slack**2).sum()
         )
-        info = told.infos[k]
+        info = witness.infos[k]
         assert list(info) == ["cost", "active_bounds", "predicted_end.y0"]
         assert info["cost"] == pytest.approx(cost, rel=1e-6, abs=1e-9)
         assert info["predicted_end.y0"] == pytest.approx(plan.y[-1, 0], abs=1e-6)
         at_limit = np.isclose(np.abs(plan.u), torque, rtol=1e-6).sum()
         assert info["active_bounds"] == at_limit
-    assert (torque > 3.0) or any(info["active_bounds"] for info in told.infos)
+    assert (torque > 3.0) or any(info["active_bounds"] for info in witness.infos)
 
 
 class Told(Controller):

@@ -151,8 +151,8 @@ def test_a_law_that_has_given_way_can_be_copied_and_goes_on() -> None:
     run(controller, lag_loop(1.0, 0.3), np.array([2.0, 0.0]), 5)
     copy = pickle.loads(pickle.dumps(controller))
     sample = Sample(5, 0.5, np.array([1.5]), np.array([1.5]), np.zeros((6, 1)), np.zeros(1))
-    one, other = controller.step(sample), copy.step(sample)
-    assert isinstance(one, Action)
+    original, other = controller.step(sample), copy.step(sample)
+    assert isinstance(original, Action)
     assert isinstance(other, Action)
-    assert one.status == other.status
-    assert one.u == pytest.approx(other.u, abs=1e-9)
+    assert original.status == other.status
+    assert original.u == pytest.approx(other.u, abs=1e-9)

@@ -66,8 +66,10 @@ def test_the_first_order_law_is_the_published_one() -> None:
     for k, (y, before) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.15, 0.1), (-0.1, 0.15)]):
         disturbance = (y - before) / SAMPLING_TIME - 2.0 * u
         expected = (-disturbance + 3.0 * (1.0 - y)) / 2.0
-        found = controller.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((1, 1)), np.ones(1)))
-        assert found == pytest.approx([expected])
+        applied = controller.step(
+            Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((1, 1)), np.ones(1))
+        )
+        assert applied == pytest.approx([expected])
         u = expected
 
 
@@ -172,8 +174,8 @@ def test_it_goes_on_where_a_recording_ended() -> None:
     controller.start(make_loop(recording, FREE, FREE, continues_recording=True))
     position, velocity, force = states[-1]
     expected = -force - position - 2.0 * velocity
-    found = controller.step(Sample(0, 0.0, y[-1], y[-1], np.zeros((1, 1)), np.zeros(1)))
-    assert found == pytest.approx([expected])
+    applied = controller.step(Sample(0, 0.0, y[-1], y[-1], np.zeros((1, 1)), np.zeros(1)))
+    assert applied == pytest.approx([expected])
 
 
 def test_settings_that_do_not_fit_each_other_are_named_together() -> None:

@@ -205,7 +205,7 @@ def test_active_limits_are_solved_for_as_the_full_qp_is(form: str) -> None:
     controller = Watched(form=form, rate_bounds=0.3)
     run = close_loop(controller, pendulum_loop(None, 2.0), quick_pendulum, ANGLE, paper_reference())
     sums, active = np.tri(5), 0
-    for u, changes, hessian, slope, (found, fault) in controller.problems:
+    for u, changes, hessian, slope, (applied, fault) in controller.problems:
         best = optimum_by_duality(
             hessian,
             slope,
@@ -214,7 +214,7 @@ def test_active_limits_are_solved_for_as_the_full_qp_is(form: str) -> None:
         )
         active += not np.allclose(best, changes)
         assert fault == ""
-        assert found[0] - u[0] == pytest.approx(best[0], abs=1e-6)
+        assert applied[0] - u[0] == pytest.approx(best[0], abs=1e-6)
     assert active > 100
     assert np.abs(run.u).max() <= 2.0
     assert np.abs(np.diff(run.u, axis=0)).max() <= 0.3 + 1e-15
@@ -382,8 +382,8 @@ def test_mfac_with_whole_steps_is_mfapc_one_sample_ahead(form: str) -> None:
     settings = controller.settings_as(MFAPC, 1, 1, 0)
     assert settings is not None
     runs = [
-        close_loop(one, pendulum_loop(None, 3.5), quick_pendulum, ANGLE, paper_reference())
-        for one in (controller, MFAPC(**settings))
+        close_loop(method, pendulum_loop(None, 3.5), quick_pendulum, ANGLE, paper_reference())
+        for method in (controller, MFAPC(**settings))
     ]
     assert runs[1].u == pytest.approx(runs[0].u, abs=1e-9)
     assert np.ptp(runs[0].u) > 1.0

@@ -227,12 +227,12 @@ def test_a_step_test_finds_the_dead_time_of_a_mosaic(delay: int) -> None:
     poles = 0.9, 0.7
     plant = LinearPlant(np.array([[0.9, 1.0], [0.0, 0.7]]), np.array([[1.0], [0.1]]), np.array([[1.0, 0.0]]))
     recording = linear_mosaic(rng, plant, [60, 1, 30, 50], delay)
-    found, _ = fit_second_order(recording, 0, 0)
-    assert found.delay == pytest.approx(delay * SAMPLING_TIME, abs=0.02)
-    assert sorted(np.exp(np.array(found.poles).real * SAMPLING_TIME)) == pytest.approx(
+    model, _ = fit_second_order(recording, 0, 0)
+    assert model.delay == pytest.approx(delay * SAMPLING_TIME, abs=0.02)
+    assert sorted(np.exp(np.array(model.poles).real * SAMPLING_TIME)) == pytest.approx(
         sorted(poles), abs=1e-6
     )
-    assert found.gain == pytest.approx((1.0 * 0.3 + 0.1) / (0.1 * 0.3), rel=1e-6)
+    assert model.gain == pytest.approx((1.0 * 0.3 + 0.1) / (0.1 * 0.3), rel=1e-6)
 
 
 @pytest.mark.parametrize("controller", [MFAPC(), IPID(alpha=5.0)], ids=["mfapc", "ipid"])

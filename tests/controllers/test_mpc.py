@@ -212,9 +212,9 @@ def test_a_dead_time_is_found_in_the_recording(noise: float) -> None:
     controller = MPC(horizon=15)
     outputs = disturbed(controller, plant, noise)
     assert abs(outputs[-80:] - 0.5).max() < 1e-6 + 10.0 * noise
-    found = controller.diagnostics()
-    assert found["lags"] == 6.0 if noise == 0.0 else found["lags"] > 6.0
-    assert 0.8 * noise <= found["one_step_error"] < 1.5 * noise + 1e-9
+    diagnostics = controller.diagnostics()
+    assert diagnostics["lags"] == 6.0 if noise == 0.0 else diagnostics["lags"] > 6.0
+    assert 0.8 * noise <= diagnostics["one_step_error"] < 1.5 * noise + 1e-9
 
 
 def test_units_do_not_decide_whether_a_disturbance_is_seen() -> None:

@@ -337,4 +337,4 @@ def test_the_equations_that_it_is_given_decide_the_id_of_its_cases(tmp_path: Pat
     other = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="other.py:MODEL")
     (tmp_path / "other.py").write_text(LAG.format(name="other").replace("- v.x", "- 3 * v.x"))
     changed = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="other.py:MODEL")
-    assert len({one.id for one in (first, other, changed)}) == 3
+    assert len({case.id for case in (first, other, changed)}) == 3

@@ -224,8 +224,8 @@ def test_the_step_gain_of_a_recording_is_that_of_the_plant() -> None:
 def test_the_projector_leaves_what_free_inputs_do_and_takes_away_the_rest(p: int, m: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     gain, free = rng.uniform(0.5, 1.0, (p, m)) + 2.0 * np.eye(p, m), rng.random(m) < 0.5
-    found = projector(gain, free)
-    assert found == pytest.approx(gain[:, free] @ np.linalg.pinv(gain[:, free]), abs=1e-9)
+    projection = projector(gain, free)
+    assert projection == pytest.approx(gain[:, free] @ np.linalg.pinv(gain[:, free]), abs=1e-9)
 
 
 def test_a_fallback_is_passed_on() -> None:

@@ -89,9 +89,9 @@ def test_the_units_of_the_plant_do_not_matter(
 ) -> None:
     ones = np.ones(2)
     expected = inputs_of(method(), loop_in(ones, ones), ones, ones)
-    found = inputs_of(method(), loop_in(u_size, y_size), u_size, y_size)
+    inputs = inputs_of(method(), loop_in(u_size, y_size), u_size, y_size)
     assert np.ptp(expected) > 0.1  # the loop does something
-    assert found == pytest.approx(expected, abs=1e-6)
+    assert inputs == pytest.approx(expected, abs=1e-6)
 
 
 def test_without_scaling_weights_are_for_units() -> None:
@@ -165,8 +165,8 @@ def test_a_given_model_is_in_units() -> None:
     ones = np.ones(2)
     for make in (lambda m: MPC(model=m), lambda m: LQR(model=m)):
         expected = inputs_of(make(model(ones, ones)), loop_in(ones, ones), ones, ones)
-        found = inputs_of(make(model(u_size, y_size)), loop_in(u_size, y_size), u_size, y_size)
-        assert found == pytest.approx(expected, abs=1e-6)
+        inputs = inputs_of(make(model(u_size, y_size)), loop_in(u_size, y_size), u_size, y_size)
+        assert inputs == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_scaled_loop_is_not_scaled_again() -> None:
@@ -224,5 +224,5 @@ def test_a_signal_far_from_its_scale_is_told_what_that_is(scaling: ScaleBy, size
     loop = make_loop(Recording(rows, rows, rows, 0.1), np.ones(2), np.full(2, np.inf))
     nominal = 1.0 if scaling == "nominal" else 3.0
     loop = replace(loop, inputs=tuple(replace(variable, nominal=nominal) for variable in loop.inputs))
-    told = Scales(loop, scaling).misfits()[0].replace(", on which the weights rest", "")
-    assert f'the input "u0" is {words}' in told
+    misfit = Scales(loop, scaling).misfits()[0].replace(", on which the weights rest", "")
+    assert f'the input "u0" is {words}' in misfit

@@ -168,12 +168,12 @@ def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
 )
 def test_two_loops_on_a_decoupled_plant(controller: Any) -> None:
     rng = np.random.default_rng(3)
-    one, other = (LinearPlant.random(rng, 2, 1, 1) for _ in range(2))
+    first, other = (LinearPlant.random(rng, 2, 1, 1) for _ in range(2))
     zero = np.zeros((2, 2))
     both = LinearPlant(
-        np.block([[one.a, zero], [zero, other.a]]),
-        np.block([[one.b, np.zeros((2, 1))], [np.zeros((2, 1)), other.b]]),
-        np.block([[one.c, np.zeros((1, 2))], [np.zeros((1, 2)), other.c]]),
+        np.block([[first.a, zero], [zero, other.a]]),
+        np.block([[first.b, np.zeros((2, 1))], [np.zeros((2, 1)), other.b]]),
+        np.block([[first.c, np.zeros((1, 2))], [np.zeros((1, 2)), other.c]]),
     )
     u = rng.uniform(-1.0, 1.0, (150, 2))
     recording = experiment(both.advance, u, 4, both.c)
@@ -187,7 +187,7 @@ def test_two_loops_on_a_decoupled_plant(controller: Any) -> None:
         reference,
         60,
     )
-    for i, plant in enumerate((one, other)):
+    for i, plant in enumerate((first, other)):
         alone = experiment(plant.advance, u[:, i : i + 1], 2, plant.c)
         loop = make_loop(alone, np.array([0.8]), np.array([np.inf]))
         run = close_loop(controller, loop, plant.advance, plant.c, reference[:, i : i + 1], 60)
@@ -280,8 +280,10 @@ def test_a_method_that_contains_another_decides_as_that_one_does(
     settings = controller.settings_as(other, 1, 1, len(paper_recording))
     assert settings is not None
     runs = [
-        close_loop(one, pendulum_loop(paper_recording, limit), quick_pendulum, ANGLE, paper_reference(), 130)
-        for one in (controller, other(**settings))
+        close_loop(
+            method, pendulum_loop(paper_recording, limit), quick_pendulum, ANGLE, paper_reference(), 130
+        )
+        for method in (controller, other(**settings))
     ]
     assert runs[1].u == pytest.approx(runs[0].u, abs=1e-6)
     assert np.ptp(runs[0].u) > 1.0

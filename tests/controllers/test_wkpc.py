@@ -114,9 +114,9 @@ def test_each_departure_of_the_published_program_has_its_effect(
 
 
 def test_the_centres_come_from_the_loops_generator(state_recording: Recording) -> None:
-    one, same, other = (run(printed_wkpc(), state_recording, seed=seed, steps=20).u for seed in (1, 1, 2))
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)
+    first, same, other = (run(printed_wkpc(), state_recording, seed=seed, steps=20).u for seed in (1, 1, 2))
+    assert np.array_equal(first, same)
+    assert not np.array_equal(first, other)
 
 
 class Squares:

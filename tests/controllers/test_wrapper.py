@@ -70,14 +70,14 @@ class Witness(Controller):
     horizon: int = setting(2, low=0, doc="references that it wants")
 
     def start(self, loop: Loop) -> None:
-        self.loop, self.told = loop, list[Sample]()
+        self.loop, self.samples = loop, list[Sample]()
 
     def step(self, sample: Sample) -> FloatArray:
-        self.told.append(sample)
+        self.samples.append(sample)
         return np.full(len(self.loop.inputs), 0.25)
 
 
-def told(controller: Controller, preview: int | None, outputs: int = 1) -> Trace:
+def traced(controller: Controller, preview: int | None, outputs: int = 1) -> Trace:
     """Close the loop on one lag under a ramp of 1 per sample, or on two, the second ramp twice as steep."""
     plants = Lags(outputs)
     ramps = {f"y{i}": Ramp(0.0, 100.0 + 100.0 * i, 0.0, 100.0) for i in range(outputs)}
@@ -108,11 +108,11 @@ def inside(wrapper: Any) -> list[Witness]:
 @pytest.mark.parametrize("preview", [None, 0, 1, 2, 5])
 def test_each_of_a_group_is_told_its_own_part_of_what_may_be_known(preview: int | None) -> None:
     controller = grouped(Witness(horizon=1), Witness(horizon=4))
-    assert told(controller, preview, outputs=2).completed
+    assert traced(controller, preview, outputs=2).completed
     for output, (witness, horizon) in enumerate(zip(inside(controller), (1, 4), strict=True)):
         seen = min(horizon, 4 if preview is None else preview)
         assert witness.loop.preview == seen
-        for sample in witness.told:
+        for sample in witness.samples:
             ahead = [sample.k + min(i, seen) for i in range(1, horizon + 1)]
             assert sample.setpoint == pytest.approx([(1 + output) * sample.k])
             assert sample.reference[:, 0] == pytest.approx([(1 + output) * k for k in ahead])
@@ -122,11 +122,11 @@ def test_each_of_a_group_is_told_its_own_part_of_what_may_be_known(preview: int 
 @pytest.mark.parametrize("horizon", [0, 3])
 def test_a_scaled_controller_is_told_the_same_in_its_units(preview: int | None, horizon: int) -> None:
     controller = Scaled(controller=Witness(horizon=horizon), scale_by="nominal")
-    assert told(controller, preview).completed
+    assert traced(controller, preview).completed
     (witness,) = inside(controller)
     seen = horizon if preview is None else min(horizon, preview)
     assert witness.loop.preview == seen
-    for sample in witness.told:
+    for sample in witness.samples:
         assert sample.setpoint == pytest.approx([0.1 * sample.k])
         assert sample.reference[:, 0] == pytest.approx(
             [0.1 * (sample.k + min(i, seen)) for i in range(1, horizon + 1)]
@@ -137,12 +137,12 @@ def test_a_scaled_controller_is_told_the_same_in_its_units(preview: int | None, 
 @pytest.mark.parametrize("horizon", [0, 1, 3])
 def test_setpoint_and_references_are_shifted_alike(preview: int | None, horizon: int) -> None:
     controller = OffsetFree(controller=Witness(horizon=horizon))
-    assert told(controller, preview).completed
+    assert traced(controller, preview).completed
     (witness,) = inside(controller)
     seen = horizon if preview is None else min(horizon, preview)
     assert witness.loop.preview == seen
     shifts = []
-    for sample in witness.told:
+    for sample in witness.samples:
         ahead = np.array([sample.k + min(i, seen) for i in range(horizon + 1)], dtype=float)
         shift = np.array([*sample.setpoint, *sample.reference[:, 0]]) - ahead
         assert np.ptp(shift) == pytest.approx(0.0, abs=1e-9)
@@ -155,25 +155,25 @@ def test_a_cascade_passes_the_future_to_its_outer_controller_alone(
     period: int, preview: int | None, rows: tuple[int, int]
 ) -> None:
     cascade = Cascade(inner=Witness(horizon=3), outer=Witness(horizon=2), outer_period=period)
-    assert told(cascade, preview).completed
+    assert traced(cascade, preview).completed
     inner, outer = inside(cascade)
     assert outer.loop.preview == (2 if preview is None else preview)
-    for sample in outer.told:
+    for sample in outer.samples:
         assert sample.setpoint == pytest.approx([sample.k])
         assert sample.reference[:, 0] == pytest.approx([sample.k + i for i in rows])
     assert inner.loop.preview == 0  # what the outer controller will ask for is not known ahead
-    for sample in inner.told:
+    for sample in inner.samples:
         assert [*sample.setpoint, *sample.reference[:, 0]] == [0.25] * 4
 
 
 def test_a_slower_outer_controller_is_told_what_is_known_of_its_own_samples() -> None:
     cascade = Cascade(inner=Witness(), outer=Witness(horizon=3), outer_period=2)
-    assert told(cascade, preview=3).completed
+    assert traced(cascade, preview=3).completed
     _, outer = inside(cascade)
     assert outer.loop.preview == 1
-    assert [sample.setpoint.tolist() for sample in outer.told] == [[0.0], [2.0], [4.0], [6.0]]
+    assert [sample.setpoint.tolist() for sample in outer.samples] == [[0.0], [2.0], [4.0], [6.0]]
     # Of r_k+2, r_k+4 and r_k+6 the first is known; what is known last, r_k+3, stands for the others.
-    assert [sample.reference[:, 0].tolist() for sample in outer.told] == [
+    assert [sample.reference[:, 0].tolist() for sample in outer.samples] == [
         [2, 3, 3],
         [4, 5, 5],
         [6, 7, 7],
@@ -205,8 +205,8 @@ def settled_errors(controller: Controller, loop: Loop) -> FloatArray:
 
 
 def test_each_group_gets_its_signals_and_keeps_to_its_inputs() -> None:
-    one = PID(proportional=1.0)
-    controller = grouped(one, one)
+    shared = PID(proportional=1.0)
+    controller = grouped(shared, shared)
     controller.start(loop_of_two())
     sample = Sample(0, 0.0, np.zeros(2), np.zeros(2), np.array([[1.0, 3.0]]), np.array([1.0, 3.0]))
     answer = controller.step(sample)
@@ -290,8 +290,10 @@ def test_scaling_changes_nothing_but_the_meaning_of_the_weights(state_recording:
             lambda_sigma=1e7 * degrees**2,
         )
     )
-    one, other = (close_loop(c, loop, quick_pendulum, ANGLE, paper_reference(), 150) for c in (plain, scaled))
-    assert np.abs(one.u - other.u).max() < 1e-6
+    plain_run, other = (
+        close_loop(c, loop, quick_pendulum, ANGLE, paper_reference(), 150) for c in (plain, scaled)
+    )
+    assert np.abs(plain_run.u - other.u).max() < 1e-6
 
 
 def test_without_a_range_the_nominal_value_is_the_unit() -> None:

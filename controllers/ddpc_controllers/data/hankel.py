@@ -272,15 +272,15 @@ def require_informative(u: FloatArray, known: FloatArray, who: str) -> None:
     still = length <= RANK_TOLERANCE * np.linalg.norm(u, axis=0)
     moves = np.where(still, 0.0, moves / np.where(still, 1.0, length))
     factor = np.asarray(np.linalg.qr(np.hstack([np.ones((size, 1)), known, moves]), mode="r"))
-    own = np.linalg.svd(factor[-m:, -m:], compute_uv=False)
-    rank = int(np.count_nonzero(own > RANK_TOLERANCE))
+    singular_values = np.linalg.svd(factor[-m:, -m:], compute_uv=False)
+    rank = int(np.count_nonzero(singular_values > RANK_TOLERANCE))
     if rank < m:
         order = persistency_of_excitation(np.where(still, 0.0, u - u.mean(axis=0)))
         raise DataError(
             f"{who}: the recorded inputs do not show what they do: they follow from the samples before them, "
-            f"or from each other (rank {rank} of {m}, smallest singular value {own[-1]:.1e}; off their means "
-            f"they are persistently exciting of order {order}): record with a richer input; in closed loop, "
-            "add an excitation to the controller's"
+            f"or from each other (rank {rank} of {m}, smallest singular value {singular_values[-1]:.1e}; "
+            f"off their means they are persistently exciting of order {order}): record with a richer input; "
+            "in closed loop, add an excitation to the controller's"
         )
 
 
@@ -376,11 +376,11 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         raise DataError(
             f"{who} predicts with an open-loop recording: give the loop an excitation or a recording"
         )
-    found = (recording.u.shape[1], recording.y.shape[1], recording.measured.shape[1])
+    sizes = (recording.u.shape[1], recording.y.shape[1], recording.measured.shape[1])
     wanted = (len(loop.inputs), len(loop.outputs), len(loop.measurements))
-    if found != wanted:
+    if sizes != wanted:
         raise DataError(
-            f"{who}: the recording has (inputs, outputs, measurements) = {found}, the loop has {wanted}"
+            f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
     if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
         raise DataError(

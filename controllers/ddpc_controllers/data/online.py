@@ -63,7 +63,7 @@ class Excitation:
         return gram, 0.0 if info else len(gram) / float(np.vdot(inverse, inverse))
 
     def accept(self, gram: FloatArray, value: float) -> None:
-        """Take what :meth:`after` returned."""
+        """Adopt the result of :meth:`after`."""
         self._gram, self.value = gram, value
 
     def refresh(self, windows: FloatArray) -> None:

@@ -25,7 +25,7 @@ _NEGLIGIBLE = 1e-10
 
 
 class Judgement(NamedTuple):
-    """What a method has to say of its recording.
+    """What a method reports about its recording.
 
     Parameters
     ----------
@@ -259,9 +259,9 @@ def _deviations(signals: FloatArray) -> FloatArray:
 
 def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Sequence[Span]) -> list[str]:
     """Return a warning for every output whose dead time is not covered."""
-    found = dead_times(recording, max(span.samples for span in spans) + 1)
+    delays = dead_times(recording, max(span.samples for span in spans) + 1)
     texts = []
-    for name, samples in zip(names, found, strict=True):
+    for name, samples in zip(names, delays, strict=True):
         if short := [span for span in spans if span.samples < samples]:
             covered = " and ".join(f"{span.what} covers {span.samples}" for span in short)
             longer = " and ".join(span.what for span in short if span.remedy is None)

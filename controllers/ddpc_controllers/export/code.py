@@ -65,7 +65,7 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
             f"{kind.__name__} cannot be exported within another controller: it is not of ddpc_controllers"
         )
     if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
-        # What its class changes, the code of the class that it comes from does not know.
+        # The base class's code does not know what a subclass changes.
         raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
     return controller.c_step(code, loop)
 
@@ -293,15 +293,15 @@ def _runtime(kernels: Sequence[str]) -> dict[str, str]:
     files = {
         file.name: file for entry in entries for file in (entry.iterdir() if entry.is_dir() else [entry])
     }
-    found = dict[str, str]()
+    texts = dict[str, str]()
     open_ones = list(kernels)
     while open_ones:
         name = open_ones.pop()
         for file in (f"{name}.h", f"{name}.c"):
-            text = found[file] = files[file].read_text(encoding="utf-8")
+            text = texts[file] = files[file].read_text(encoding="utf-8")
             includes = [line.split('"')[1] for line in text.splitlines() if line.startswith('#include "')]
-            open_ones += [include.removesuffix(".h") for include in includes if include not in found]
-    return found
+            open_ones += [include.removesuffix(".h") for include in includes if include not in texts]
+    return texts
 
 
 def _in_comment(names: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import prior_info
 from ddpc_cosim import (
     OK,
     Action,
@@ -148,12 +148,12 @@ class FMUController(Controller):
         if faults:
             raise ConfigError([f"{Path(self.file).name}: {fault}" for fault in faults])
         controls = [driving[variable.name] for variable in loop.inputs]
-        self._told = [name for name in self._outputs if name not in controls]
-        own = {**self._inputs, **self._outputs}
-        units = {n: v.unit for n, v in wanted.items() if v.unit and own[n].unit not in ("", v.unit)}
+        self._others_out = [name for name in self._outputs if name not in controls]
+        described = {**self._inputs, **self._outputs}
+        units = {n: v.unit for n, v in wanted.items() if v.unit and described[n].unit not in ("", v.unit)}
         self._how = {
             "inputs": list(self._inputs),
-            "outputs": [*controls, *self._told],
+            "outputs": [*controls, *self._others_out],
             "display_units": units,
         }
         with _errors_as(ControllerError):
@@ -168,7 +168,7 @@ class FMUController(Controller):
         self._low, self._high = loop.bounds.u_min, loop.bounds.u_max
 
     def step(self, sample: Sample) -> Action:
-        """Return what the FMU's outputs are after a step with this sample's inputs, shape (m,)."""
+        """Return the FMU's outputs after a step with this sample's inputs, shape (m,)."""
         parts = (sample.y, sample.measured[self._others], sample.setpoint, sample.reference.ravel())
         inputs = np.concatenate((*parts, self._constants))[self._places]
         if self._converts:
@@ -181,20 +181,20 @@ class FMUController(Controller):
             raise ControllerError(str(error)) from error
         self._given.frombytes(inputs.tobytes())
         m = len(self._low)
-        u, told = outputs[:m], dict(zip(self._told, outputs[m:].tolist(), strict=True))
+        u, others = outputs[:m], dict(zip(self._others_out, outputs[m:].tolist(), strict=True))
         if self._converts:
             u = u * self._from[0] + self._from[1]
-        status = self._status_words(told.pop(self.status, 0.0))
+        status = self._status_words(others.pop(self.status, 0.0))
         held = np.minimum(np.maximum(u, self._low), self._high)
         if (held != u).any():
             if not np.isfinite(u).all():
                 raise ControllerError(f"{Path(self.file).name}: the control signal is {u.tolist()}")
             if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
                 status = _CLIPPED
-        return Action(held, status, {name: value for name, value in told.items() if isfinite(value)})
+        return Action(held, status, {name: value for name, value in others.items() if isfinite(value)})
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals that it is told; what else it knows, only an FMU from here says."""
+        """Return the signals that it gets; only an FMU exported from here says what else it knows."""
         named = {self._signal_of(name) for name in self._inputs}
         used = [v for v in (*loop.outputs, *loop.measurements) if v.name in named]
         made = f"what its FMU was made with ({printable(self._tool)})"
@@ -202,7 +202,7 @@ class FMUController(Controller):
             made = (
                 f"what the recording was made on that it had learned from, of {recording['samples']} samples"
             )
-        return knowing(made, used)
+        return prior_info(made, used)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the FMU: what it has been given leads to where it is."""
@@ -249,7 +249,7 @@ class FMUController(Controller):
             )
 
     def _status_words(self, value: float) -> str:
-        """Return what a status says, a sum of bits where the FMU explains them."""
+        """Return a status in words: of a sum of bits, where the FMU explains them."""
         if value == 0.0:
             return OK
         bits = int(value) if value.is_integer() and value > 0 else 0
@@ -277,7 +277,7 @@ def _scales(variables: Sequence[Variable], units: Mapping[str, str]) -> Any:
 
 
 def _resource_of(file: str) -> dict[str, Any]:
-    """Return what an FMU that was exported from here says of itself; nothing of another one."""
+    """Return the metadata of an FMU that was exported from here; nothing of another one."""
     with suppress(KeyError, ValueError), zipfile.ZipFile(file) as archive:
         content = json.loads(archive.read(_RESOURCE))
         return content if isinstance(content, dict) else {}

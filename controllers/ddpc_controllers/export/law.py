@@ -61,15 +61,15 @@ def add_law(code: Code, law: Law, answers: int) -> LawInC:
             "the longer the recording: use another regulariser"
         )
     code.kernel("law")
-    laws, easier = [law], law.easier()
+    stages, easier = [law], law.easier()
     while isinstance(easier, ParametricQP):
-        laws.append(easier)
+        stages.append(easier)
         easier = easier.easier()
-    affine = _affine_laws(code, [one.problem for one in laws], answers)
+    affine = _affine_laws(code, [stage.problem for stage in stages], answers)
     added = LawInC("NULL", 0)
-    for one, name in zip(reversed(laws), reversed(affine), strict=True):
-        conflicts = len(law.problem.conflict_law) if one is law else 0
-        pointer, memory = _add(code, one.problem, one.limits, answers, name, conflicts, added.pointer)
+    for stage, name in zip(reversed(stages), reversed(affine), strict=True):
+        conflicts = len(law.problem.conflict_law) if stage is law else 0
+        pointer, memory = _add(code, stage.problem, stage.limits, answers, name, conflicts, added.pointer)
         added = LawInC(pointer, added.memory + memory)
     return added
 

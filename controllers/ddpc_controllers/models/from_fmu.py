@@ -238,8 +238,8 @@ def _other_units(loop: Loop, plant: Plant) -> list[str]:
     """Return which signals of the loop are not in the FMU's units: its model would not be theirs."""
     pairs = zip((*loop.inputs, *loop.outputs), (*plant.inputs, *plant.outputs), strict=True)
     return [
-        f'FMUModel: "{own.name}" is in {own.unit} in the FMU and in {seen.unit or "no unit"} in the loop, '
-        "which is scaled or another plant's"
-        for seen, own in pairs
-        if own.unit and seen.unit != own.unit
+        f'FMUModel: "{modelled.name}" is in {modelled.unit} in the FMU and in {seen.unit or "no unit"} '
+        "in the loop, which is scaled or another plant's"
+        for seen, modelled in pairs
+        if modelled.unit and seen.unit != modelled.unit
     ]

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, knowing
+from ddpc_controllers.checks import check_settings_and, prior_info
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -24,7 +24,7 @@ from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.optimisation.limits import PREDICTED
-from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action
+from ddpc_controllers.optimisation.qp import NO_INFO, action
 from ddpc_controllers.scaling import ScaledSignals, Scales
 from ddpc_cosim import (
     Action,
@@ -219,11 +219,11 @@ class ModelBased(ScaledSignals):
         return self.model.recording_length(inputs, outputs)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and what it was told of the plant."""
+        """Return the signals it uses, and its prior information about the plant."""
         model = self.model
         if isinstance(model, Identified):
-            return knowing("nothing", loop.outputs)
-        return knowing(f"a linear model, by {type(model).__name__}", loop.outputs)
+            return prior_info("nothing", loop.outputs)
+        return prior_info(f"a linear model, by {type(model).__name__}", loop.outputs)
 
     def start(self, loop: Loop) -> None:
         """Get the model, and start on the loop in scaled signals.
@@ -259,7 +259,7 @@ class ModelBased(ScaledSignals):
         return {**self._model.fit, **self._judgement.diagnostics}
 
     def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording or the model."""
+        """Return warnings about the recording or the model."""
         return [*super().warnings(), *self._model.warnings]
 
     def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:
@@ -282,7 +282,7 @@ class ModelBased(ScaledSignals):
         )
         self._u: FloatArray = resting_input(loop)
         self._resting = True
-        self._told: Mapping[str, float] = NOTHING_TOLD
+        self._info: Mapping[str, float] = NO_INFO
         if loop.continues_recording and loop.recording is not None:
             newest = loop.recording.pieces[-1]
             self._observer.follow(newest.u, newest.y)
@@ -300,7 +300,7 @@ class ModelBased(ScaledSignals):
         u, fallback = self._decide(sample)
         self._observer.predict(u)
         self._u = u.copy()
-        return action(u, fallback or missing, self._told)
+        return action(u, fallback or missing, self._info)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the filter and what decides to the code."""

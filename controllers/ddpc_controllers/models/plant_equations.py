@@ -57,7 +57,7 @@ def find_model(model: str, fmu: str) -> Any:
         The FMU is of no plant that is installed, or what is named has no equations.
     """
     if model:
-        found = load_plugin("plants", model)
+        loaded = load_plugin("plants", model)
     elif fmu == "{plant}":
         raise ConfigError('NMPC: which plant? give model, for example model = "pendulum"')
     else:
@@ -65,10 +65,10 @@ def find_model(model: str, fmu: str) -> Any:
         known = {getattr(plugin.value, "name", ""): plugin.value for plugin in installed("plants")}
         if name not in known:
             raise ConfigError(f'NMPC: {Path(fmu).name} is of no installed plant; give model = "module:MODEL"')
-        found = known[name]
-    if not callable(getattr(found, "equations", None)):
+        loaded = known[name]
+    if not callable(getattr(loaded, "equations", None)):
         raise ConfigError(f'NMPC: model = "{model}" has no equations; needed: a PlantModel')
-    return found
+    return loaded
 
 
 def _model_name(fmu: str) -> str:
@@ -280,10 +280,10 @@ class ExtendedKalmanFilter:
         )
         signals = measured_signals(loop)
         carrier = loop.inputs if plant.disturbances == len(loop.inputs) else loop.outputs
-        own = measurement_noise * np.abs([variable.nominal for variable in signals])
+        sd = measurement_noise * np.abs([variable.nominal for variable in signals])
         change = disturbance_noise * np.abs([variable.nominal for variable in carrier])
         self._drive = (process_noise * np.abs([variable.nominal for variable in loop.inputs])) ** 2
-        self._noise, self._wander = np.diag(own**2), np.append((_STATE_NOISE * plant.nominal) ** 2, change**2)
+        self._noise, self._wander = np.diag(sd**2), np.append((_STATE_NOISE * plant.nominal) ** 2, change**2)
         self.x, self.d = plant.start.copy(), np.zeros(plant.disturbances)
         self._covariance = np.diag(self._wander)
 

@@ -2,7 +2,7 @@
 
 With a rank-revealing factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data rows are
 ``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full
-row rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
+row rank (noise-free, lifted) are not a special case. What remains is, p being the parameters,
 
     minimise |G z - T p|^2 + |v - v_s|_W^2 + |v_s|_U^2   subject to   E z = E_p p,   lower <= C z <= upper,
 
@@ -163,7 +163,7 @@ class ReducedProblem:
     ----------
     residual, offset : arrays, shapes (r, k) and (r, parameters)
         The tracking cost.
-    own : tuple of Coordinates
+    g_costs : tuple of Coordinates
         What g costs: the coordinates v, less where they are drawn to; and where there is such, that too.
     excess_gain, excess_law : arrays, shapes (n, k) and (n, parameters)
         By how much each bound is exceeded, in parts of its range.
@@ -175,7 +175,7 @@ class ReducedProblem:
 
     residual: FloatArray
     offset: FloatArray
-    own: tuple[Coordinates, ...]
+    g_costs: tuple[Coordinates, ...]
     excess_gain: FloatArray
     excess_law: FloatArray
     move_gain: FloatArray
@@ -204,11 +204,13 @@ class ReducedProblem:
 
     def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ``w = law p + gain t`` such that the cost is |t|^2 and |cost_law p|^2, and that law."""
-        roots = [np.sqrt(own.weights)[:, np.newaxis] for own in self.own]
+        roots = [np.sqrt(cost.weights)[:, np.newaxis] for cost in self.g_costs]
         residual = np.vstack(
-            [self.residual, *(root * v.gain for root, v in zip(roots, self.own, strict=True))]
+            [self.residual, *(root * v.gain for root, v in zip(roots, self.g_costs, strict=True))]
         )
-        offset = np.vstack([self.offset, *(root * v.law for root, v in zip(roots, self.own, strict=True))])
+        offset = np.vstack(
+            [self.offset, *(root * v.law for root, v in zip(roots, self.g_costs, strict=True))]
+        )
         size = residual.shape[1]
         if size == 0:
             left = np.asarray(np.linalg.qr(offset, mode="r"))
@@ -261,14 +263,14 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
     particular, null_space, conflict = _eliminate(in_z(equality), equality_target)
     residual, bounded, move = in_z(residual), in_z(quantities), in_z(problem.wanted)
     rank = basis.shape[1]
-    own = [Coordinates(null_space[:rank], particular[:rank], factor.weights)]
+    g_costs = [Coordinates(null_space[:rank], particular[:rank], factor.weights)]
     of_x, of_p = problem.origin
     if of_x.any() or of_p.any():  # v_s = B^+ h_s is the smallest combination that has the rows h_s
         drawn_to = np.linalg.lstsq(basis, np.hstack([of_x[:, rows:], of_p]))[0]
         others, constant = np.split(drawn_to, [of_x.shape[1] - rows], axis=1)
         gain, drawn = others @ null_space[rank:], others @ particular[rank:] + constant
-        own = [
-            Coordinates(own[0].gain - gain, own[0].law - drawn, factor.weights),
+        g_costs = [
+            Coordinates(g_costs[0].gain - gain, g_costs[0].law - drawn, factor.weights),
             Coordinates(gain, drawn, np.array(problem.origin_weights)[factor.blocks]),
         ]
     law, gain = _excess(bounded @ particular, bounded @ null_space, lower, upper)
@@ -276,7 +278,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
     return ReducedProblem(
         residual=residual @ null_space,
         offset=residual @ particular - target,
-        own=tuple(own),
+        g_costs=tuple(g_costs),
         excess_law=law[kept],
         excess_gain=gain[kept],
         move_law=move @ particular,

@@ -219,9 +219,9 @@ class ChangeLimits:
         """Return the next inputs if the whole plan keeps the limits, nothing otherwise."""
         admitted = []
         for j, (low, high, rate) in enumerate(self._channels):
-            own = plan[j :: len(u)]
-            levels = list(accumulate(own, initial=u[j]))[1:]
-            if min(levels) < low or max(levels) > high or min(own) < -rate or max(own) > rate:
+            changes = plan[j :: len(u)]
+            levels = list(accumulate(changes, initial=u[j]))[1:]
+            if min(levels) < low or max(levels) > high or min(changes) < -rate or max(changes) > rate:
                 return []
             admitted.append(levels[0])
         return admitted
@@ -246,10 +246,10 @@ class ChangeLimits:
             gain = np.linalg.solve(root, np.vstack([-self._limited, self._limited])[sides].T).T
             self._backend.load(gain)
             excess = np.append(low - levels, levels - high)[sides]
-            t, found, failure = self._backend.solve(excess)
+            t, active_rows, failure = self._backend.solve(excess)
             active = np.zeros(len(sides), dtype=bool)
-            active[np.flatnonzero(sides)[list(found)]] = True
-            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            active[np.flatnonzero(sides)[list(active_rows)]] = True
+            # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
             optimum = self._exact(hessian, slope, low, high, *np.split(active, 2))
             if optimum is None and failure:
                 kinds = [
@@ -260,7 +260,7 @@ class ChangeLimits:
                 labels = np.repeat(kinds, len(slope))[sides].tolist()
                 return plan, bounds_not_met(unmet_bounds(gain, excess, labels), CLIPPED)
             if optimum is None:
-                t = _at_corner(gain, excess, list(found), t)
+                t = _at_corner(gain, excess, list(active_rows), t)
                 optimum = free + np.linalg.solve(root.T, t)
         changes: list[float] = (optimum * scales).tolist()
         return changes, ""
@@ -312,6 +312,6 @@ def _at_corner(gain: FloatArray, excess: FloatArray, active: list[int], t: Float
 
 
 def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return what a change of each input is measured by: its range, else its rate, else its unit."""
+    """Return the scale of a change of each input: its range, else its rate, else its unit."""
     of_rates = np.where(np.isfinite(rates), rates, 1.0)
     return np.where(np.isfinite(ranges) & (ranges > 0.0), ranges, of_rates)

@@ -85,15 +85,15 @@ class Problem:
         first = 0.0 if isinstance(weight, Mapping) else weight
         self.weights = ((above, first), *((self.rows[name], size) for name, size in last.items()))
 
-    def regularise_about(self, rows: Mapping[str, Blocks], weight: float, own: Mapping[str, float]) -> None:
+    def regularise_about(self, rows: Mapping[str, Blocks], weight: float, about: Mapping[str, float]) -> None:
         """Add ``weight |g - g_s|^2`` to the cost, g_s being the smallest combination with given data rows.
 
         ``rows`` has coefficients of variables or parameters for each block of data rows; ``own`` has weights
         of what the last blocks of rows add to g_s.
         """
-        above = self.row_count - sum(self.rows[name] for name in own)
-        self.weights = ((above, weight), *((self.rows[name], weight) for name in own))
-        self.origin_weights = (0.0, *own.values())
+        above = self.row_count - sum(self.rows[name] for name in about)
+        self.weights = ((above, weight), *((self.rows[name], weight) for name in about))
+        self.origin_weights = (0.0, *about.values())
         of_x, of_p = self.origin
         for row, blocks in rows.items():
             for name, block in blocks.items():
@@ -161,9 +161,9 @@ class Problem:
             rows = wider(bound.rows)
             if bounds and bound.relaxed:
                 name = f"excess of {bound.name}"
-                one = np.eye(len(rows))
-                rows[:, easier._variables[name]] = -one
-                easier.penalise(bound.relaxed * np.eye(1), {name: one}, {})
+                identity = np.eye(len(rows))
+                rows[:, easier._variables[name]] = -identity
+                easier.penalise(bound.relaxed * np.eye(1), {name: identity}, {})
             easier._bounds.append(bound._replace(rows=rows, relaxed=0.0 if bounds else bound.relaxed))
         what = "output bounds softened" if bounds else "terminal condition relaxed"
         easier.given_up = (*self.given_up, what)

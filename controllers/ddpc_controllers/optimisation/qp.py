@@ -100,7 +100,7 @@ class Solution(NamedTuple):
     active: ActiveSet
     t: FloatArray | None
 
-    def told(self, rest: int, gain: FloatArray) -> dict[str, float]:
+    def info(self, rest: int, gain: FloatArray) -> dict[str, float]:
         """Return cost and number of active bounds; where r begins, and how t changes the excess."""
         root, t = self.answer[rest:], self.t
         if t is None and self.active:
@@ -118,7 +118,7 @@ class StepInfo(Mapping[str, float]):
     work_out : callable
         Returns the values by name.
     given : tuple
-        Its arguments, which nobody changes any more.
+        Its arguments, which are not changed any more.
     """
 
     __slots__ = ("_given", "_work_out")
@@ -142,10 +142,10 @@ class StepInfo(Mapping[str, float]):
         return values
 
 
-NOTHING_TOLD = StepInfo(dict, ({},))
+NO_INFO = StepInfo(dict, ({},))
 
 
-def ends_told(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> dict[str, float]:
+def ends_info(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> dict[str, float]:
     """Return the predicted outputs at the end of the horizon by name.
 
     Parameters
@@ -158,12 +158,12 @@ def ends_told(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> d
     return dict(zip(ends, (predicted[-len(ends) :] * unit).tolist(), strict=True))
 
 
-def _all_told(solution: Solution, rest: int, gain: FloatArray, *ends: Any) -> dict[str, float]:
-    return solution.told(rest, gain) | ends_told(*ends)
+def _solution_info(solution: Solution, rest: int, gain: FloatArray, *ends: Any) -> dict[str, float]:
+    return solution.info(rest, gain) | ends_info(*ends)
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
-    """Return what the predicted outputs at the end of the horizon are called."""
+    """Return the names of the predicted outputs at the end of the horizon."""
     return tuple(f"predicted_end.{output.name}" for output in outputs)
 
 
@@ -179,7 +179,7 @@ class Law(Protocol):
         """Return the optimal move, or the documented fallback with its reason."""
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_told`."""
+        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_info`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,11 +224,11 @@ class _BoundedLaw(ABC):
         self._solution: Solution | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_told`."""
+        """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_info`."""
         if self._solution:
-            return StepInfo(_all_told, (self._solution, self._rest, self._gain, ends, predicted, unit))
+            return StepInfo(_solution_info, (self._solution, self._rest, self._gain, ends, predicted, unit))
         if self._easier is None:
-            return StepInfo(ends_told, (ends, predicted, unit))
+            return StepInfo(ends_info, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
 
     def easier(self) -> "_BoundedLaw | None":
@@ -388,13 +388,13 @@ class ParametricQP(_BoundedLaw):
     def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> Correction | None:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         t, active, failure = self._backend.solve(excess)
-        # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
-        for found in (active, least_distance(self._gain, excess - FEASIBLE) if failure else ()):
-            if found and self._apply(found, excess, u):
-                self._active = found
+        # Whatever the solver reports: a law that satisfies the optimality conditions is the optimum.
+        for candidate in (active, least_distance(self._gain, excess - FEASIBLE) if failure else ()):
+            if candidate and self._apply(candidate, excess, u):
+                self._active = candidate
                 _make_room(self._active_sets)
-                self._active_sets[pattern] = found
-                return found, None
+                self._active_sets[pattern] = candidate
+                return candidate, None
         if failure:
             return None
         u += self._move_gain @ t
@@ -404,7 +404,7 @@ class ParametricQP(_BoundedLaw):
 def make_law(
     problem: Problem, data: FloatArray, limits: InputLimits, backend: Backend, online: OnlineData | None
 ) -> Law:
-    """Return what solves a problem on recorded data M, or on those that follow the plant.
+    """Return the law that solves a problem on recorded data M, or on data that follow the plant.
 
     Raises
     ------
@@ -500,37 +500,37 @@ class AdaptiveQP(_BoundedLaw):
         """Eliminate the equalities in the coordinates of the data's factor."""
         self._factor = self._data.factor
         reduced = self._reduced = reduce(self._problem, self._factor)
-        rank, size = reduced.own[0].gain.shape
-        terms = len(reduced.own)
+        rank, size = reduced.g_costs[0].gain.shape
+        terms = len(reduced.g_costs)
         self._take(reduced)
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
-        own_laws = [own.law for own in reduced.own]
+        g_laws = [cost.law for cost in reduced.g_costs]
         no_law, no_gain = (np.zeros((1, width)) for width in (linear.shape[1], size))
-        self._laws = np.vstack([linear, *own_laws, reduced.excess_law, reduced.move_law, no_law])
+        self._laws = np.vstack([linear, *g_laws, reduced.excess_law, reduced.move_law, no_law])
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain, no_gain])
         self._rest = len(self._gains) - 1
         self._curvature = reduced.residual.T @ reduced.residual
-        # What g costs, side by side: one triangular solution serves all of it.
+        # The costs of g, side by side: one triangular solution serves them all.
         self._roots = np.sqrt(
-            np.hstack([np.tile(own.weights[:, np.newaxis], size + 1) for own in reduced.own])
+            np.hstack([np.tile(cost.weights[:, np.newaxis], size + 1) for cost in reduced.g_costs])
         )
-        self._own = np.zeros((rank, terms * (size + 1)), order="F")
-        for place, own in zip(self._places_of_own(), reduced.own, strict=True):
-            self._own[:, place][:, :size] = own.gain
+        self._weighted = np.zeros((rank, terms * (size + 1)), order="F")
+        for place, cost in zip(self._places_of_costs(), reduced.g_costs, strict=True):
+            self._weighted[:, place][:, :size] = cost.gain
 
     def _unconstrained_optimum(
         self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return R, ``R'R`` being the curvature of the cost, the optimum w, and the cost there."""
         size = len(self._curvature)
-        own = self._own
-        own[:, size :: size + 1] = affine[size:].reshape(-1, len(own)).T
-        deviation = scipy.linalg.blas.dtrsm(1.0, gram_factor, own, lower=1)
+        weighted = self._weighted
+        weighted[:, size :: size + 1] = affine[size:].reshape(-1, len(weighted)).T
+        deviation = scipy.linalg.blas.dtrsm(1.0, gram_factor, weighted, lower=1)
         deviation *= self._roots
-        if own.shape[1] > size + 1:
-            deviation = np.vstack([deviation[:, place] for place in self._places_of_own()])
+        if weighted.shape[1] > size + 1:
+            deviation = np.vstack([deviation[:, place] for place in self._places_of_costs()])
         products = scipy.linalg.blas.dsyrk(1.0, deviation, trans=1)
         triangular, info = scipy.linalg.lapack.dpotrf(self._curvature + products[:size, :size])
         diagonal = triangular.diagonal().tolist()
@@ -541,10 +541,10 @@ class AdaptiveQP(_BoundedLaw):
         offset = np.dot(self._offset, parameters)
         return triangular, w, float(offset @ offset + products[size, size] + slope @ w)
 
-    def _places_of_own(self) -> list[slice]:
+    def _places_of_costs(self) -> list[slice]:
         """Return where each part of what g costs stands, its gain and its value."""
         width = len(self._curvature) + 1
-        return [slice(start, start + width) for start in range(0, len(self._reduced.own) * width, width)]
+        return [slice(start, start + width) for start in range(0, len(self._reduced.g_costs) * width, width)]
 
     def _optimum_by_roots(
         self, deviation: FloatArray, parameters: FloatArray
@@ -567,7 +567,7 @@ class AdaptiveQP(_BoundedLaw):
         if t is None:
             self._backend.load(gain)
             t, active, failure = self._backend.solve(excess)
-            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active)
             if failure and exact is None:
                 return None

@@ -13,7 +13,7 @@ from ddpc_controllers.optimisation.backends import SparseQP
 from ddpc_controllers.optimisation.condensing import ReducedProblem, factorise, reduce
 from ddpc_controllers.optimisation.limits import HELD, LAST_HELD, InputLimits, bounds_not_met, unmet_bounds
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_controllers.optimisation.qp import Move, StepInfo, ends_told
+from ddpc_controllers.optimisation.qp import Move, StepInfo, ends_info
 from ddpc_cosim import FloatArray
 
 _TOLERANCE, _RELAXED = 1e-9, 1e-7
@@ -43,7 +43,7 @@ class UncondensedLaw:
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
         """Return the predicted end of the horizon; cost and active bounds are not read off the solver."""
-        return StepInfo(ends_told, (ends, predicted, unit))
+        return StepInfo(ends_info, (ends, predicted, unit))
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or why the last inputs are to be held.

@@ -42,10 +42,10 @@ def check(
     if sandbox:
         require()
     with shown(f"check {subject}") as progress:
-        found = find_subject(subject, settings, timeout)
-        step = sampling_time or natural_step(found)
+        checked = find_subject(subject, settings, timeout)
+        step = sampling_time or natural_step(checked)
         results = run_checks(
-            found,
+            checked,
             step,
             timeout,
             progress.prepare,

@@ -80,6 +80,6 @@ def _number_or_text(text: str) -> float | str:
 
 
 def _limits(text: str) -> Any:
-    """Return a range as two numbers, or as what it is, which will be refused together with other faults."""
+    """Return a range as two numbers; anything else unchanged, to be refused together with other faults."""
     parts = [_number_or_text(part) for part in text.split(":")]
     return tuple(parts) if len(parts) == 2 and not any(isinstance(part, str) for part in parts) else text

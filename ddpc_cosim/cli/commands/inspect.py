@@ -26,7 +26,7 @@ def inspect(
     inspection = systems.inspect_ssp(fmu) if is_system else inspect_fmu(fmu, strict=strict)
     if as_json:
         data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
-        # Part by part: as one text it would take more memory than all that it tells.
+        # Part by part: as one text it would take more memory than its content.
         sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(data))
         click.echo()
     elif (console := Console()).is_terminal:

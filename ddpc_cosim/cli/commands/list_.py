@@ -47,9 +47,9 @@ def _entries(kind: str) -> Iterator[Entry]:
     from ddpc_cosim.plugins import describe, installed, package_version
 
     described = {"metrics": describe_metric, "conditions": describe_condition}
-    own = f"ddpc-cosim {package_version()}"
+    package = f"ddpc-cosim {package_version()}"
     for name, metric in METRICS.items() if kind == "metrics" else ():
-        yield Entry(name=name, what=str(metric), package=own, target=_BUILT_IN, works=True)
+        yield Entry(name=name, what=str(metric), package=package, target=_BUILT_IN, works=True)
     for plugin in installed(kind):
         what, works = described.get(kind, describe)(plugin)
         yield Entry(name=plugin.name, what=what, package=plugin.package, target=plugin.target, works=works)

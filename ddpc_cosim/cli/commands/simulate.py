@@ -17,7 +17,7 @@ from ddpc_cosim.texts import printable
 
 if TYPE_CHECKING:
     from ddpc_cosim.simulation import Simulation
-    from ddpc_cosim.simulation.request import Request
+    from ddpc_cosim.simulation.request import SimulationRequest
 
 # A comma between names: those of indices are part of a name.
 _COMMA = re.compile(r",(?![^\[(]*[\])])")
@@ -67,7 +67,7 @@ def simulate(
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     from ddpc_cosim.csv_files import CSVFile
-    from ddpc_cosim.simulation.request import Request
+    from ddpc_cosim.simulation.request import SimulationRequest
 
     try:
         read = [Path(plant), *(path for path in (inputs, golden) if path is not None)]
@@ -84,7 +84,7 @@ def simulate(
                 faults += error.faults
         if faults:
             raise ConfigError(faults)
-        request = Request(
+        request = SimulationRequest(
             plant=plant,
             inputs=files["inputs"],
             values=given,
@@ -101,7 +101,7 @@ def simulate(
         return exit_code(asked)
 
 
-def _simulate(request: "Request", out: Sequence[Path], rel: float, *, sandbox: bool) -> int:
+def _simulate(request: "SimulationRequest", out: Sequence[Path], rel: float, *, sandbox: bool) -> int:
     """Simulate, write what is asked for, print a summary, and return the exit code.
 
     Raises
@@ -181,8 +181,8 @@ def _print(simulation: "Simulation") -> None:
     rows += [(v, simulation.u[:, i], " (input)") for i, v in enumerate(simulation.inputs)]
     lines = []
     for variable, values, kind in rows:
-        found = (values[0], values.min(), values.max(), values[-1]) if len(values) else ()
-        cells = [f"{value:.6g}" for value in found] or ["-"] * 4
+        summary = (values[0], values.min(), values.max(), values[-1]) if len(values) else ()
+        cells = [f"{value:.6g}" for value in summary] or ["-"] * 4
         lines.append(Row(variable.name + kind, tuple(map(Cell, [*cells, variable.unit or "1"]))))
     (signal, unit), figures = text_headings("signal", "unit"), map(Heading, ("start", "min", "max", "end"))
     screen().print(terminal_table(Table("", "", (signal, *figures, unit), tuple(lines)), ruled=True))

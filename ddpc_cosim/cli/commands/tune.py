@@ -101,9 +101,9 @@ def _print_found(tuned: "Tuned", request: "Request", *, named: bool) -> None:
         say(f"{who}: nothing to search, left as it is")
 
 
-def _figures(given: "Trial", found: "Trial", request: "Request") -> str:
+def _figures(given: "Trial", best: "Trial", request: "Request") -> str:
     from ddpc_cosim.metrics import metric_name
 
-    pairs = zip(request.objectives, given.values, found.values, strict=True)
+    pairs = zip(request.objectives, given.values, best.values, strict=True)
     figures = [f"{metric_name(objective.metric)} {old:.4g} -> {new:.4g}" for objective, old, new in pairs]
-    return ", ".join([*figures, f"runs failed {given.failed} -> {found.failed} of {found.runs}"])
+    return ", ".join([*figures, f"runs failed {given.failed} -> {best.failed} of {best.runs}"])

@@ -201,7 +201,7 @@ class _Reading:
         return SSPConnection(source, target, link.source_unit, link.target_unit, link.factor, link.offset)
 
     def _inputs(self, links: Sequence[Link]) -> Iterator[Variable]:
-        """Yield the outer inputs; what is not written is as the first variable that they lead to."""
+        """Yield the outer inputs; what is not written is taken from the first variable that they lead to."""
         for node, link in {link.source: link for link in reversed(links)}.items():
             if not node.element:
                 given = self._parameters.connectors.get(node.name)

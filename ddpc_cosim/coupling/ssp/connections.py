@@ -82,15 +82,15 @@ class Connections:
 
     def __init__(self, system: System, reader: Reader) -> None:
         self.system, self._reader = system, reader
-        self.components = {one.path: one for one in system.components()}
-        self._systems = {one.path: one for one in system.systems()}
+        self.components = {component.path: component for component in system.components()}
+        self._systems = {within.path: within for within in system.systems()}
         self.into: dict[Node, Edge] = {}
         self.out_of: dict[Node, list[Edge]] = {}
         for component in self.components.values():
             self._check_units(component)
-        for one in self._systems.values():
-            for xml in one.connections:
-                for edge in self._edges(xml, one):
+        for within in self._systems.values():
+            for xml in within.connections:
+                for edge in self._edges(xml, within):
                     self._add(edge)
 
     def unit(self, node: Node) -> Unit:
@@ -98,29 +98,29 @@ class Connections:
         connector = node.name.partition("[")[0] if node.name not in self._names(node.element) else node.name
         element = self.components.get(node.element) or self._systems[node.element]
         written = element.connectors.get(connector)
-        own = Unit()
+        usual = Unit()
         if isinstance(element, Component) and (variable := self._variable(element, node.name)) is not None:
-            own = element.document.unit(variable.variable.unit)
-        return written.unit if written is not None and written.unit.name else own
+            usual = element.document.unit(variable.variable.unit)
+        return written.unit if written is not None and written.unit.name else usual
 
     def _check_units(self, component: Component) -> None:
-        """Note the connectors that are in another unit than their variables in the FMU: which one holds."""
+        """Note connectors that are in other units than their variables in the FMU: either may be wrong."""
         for name, connector in component.connectors.items():
             variable = self._variable(component, name)
-            own = component.document.unit(variable.variable.unit if variable else "")
-            if own.si is None or connector.unit.si is None:
+            unit = component.document.unit(variable.variable.unit if variable else "")
+            if unit.si is None or connector.unit.si is None:
                 continue
             try:
-                fits = connector.unit.conversion_to(own) == (1.0, 0.0)
+                fits = connector.unit.conversion_to(unit) == (1.0, 0.0)
             except ValueError:
                 fits = False
             if not fits:
                 where = f"{component.document.label}: connector {component.name}.{name}"
-                units = f'is in "{connector.unit.name}", and its variable in the FMU in "{own.name}"'
+                units = f'is in "{connector.unit.name}", and its variable in the FMU in "{unit.name}"'
                 self._reader.faults.append(f"{where} {units}; make them the same")
 
     def links(self) -> Iterator[Link]:
-        """Yield what every connected input of a component, and every outer output, comes from."""
+        """Yield the source of every connected input of a component, and of every outer output."""
         for node in self.into:
             component = self.components.get(node.element)
             variable = None if component is None else self._variable(component, node.name)
@@ -203,13 +203,13 @@ class Connections:
             )
             return
         if len(source.nodes) != len(target.nodes) or source.shape != target.shape:
-            sizes = " and ".join(str(list(one.shape)) if one.shape else "a number" for one in (start, end))
+            sizes = " and ".join(str(list(side.shape)) if side.shape else "a number" for side in (start, end))
             self._reader.faults.append(f"{where}: sizes differ: {sizes}")
             return
         how = self._reader.transformation(xml, where)
         converts = not is_true(xml.get("suppressUnitConversion"))
-        for one, other in zip(source.nodes, target.nodes, strict=True):
-            yield Edge(one, other, how, converts, where)
+        for source_node, target_node in zip(source.nodes, target.nodes, strict=True):
+            yield Edge(source_node, target_node, how, converts, where)
 
     def _end(self, xml: Element, which: str, system: System, where: str) -> End | None:
         element_name, name = xml.get(f"{which}Element"), xml.get(f"{which}Connector", "")
@@ -280,7 +280,7 @@ def _direction(start: End, end: End) -> bool | None:
 
 
 def _elements(shape: tuple[int, ...]) -> Iterator[str]:
-    """Yield how the elements of an array are written behind its name; of a scalar nothing."""
+    """Yield the suffixes of the names of an array's elements; none for a scalar."""
     if not shape:
         yield ""
         return

@@ -58,17 +58,17 @@ class Unit(NamedTuple):
         ValueError
             There is no conversion.
         """
-        own, other = self.si, target.si
+        source, other = self.si, target.si
         if self.name == target.name or not self.name or not target.name:
             return 1.0, 0.0
-        if own is None or other is None:
-            unknown = self.name if own is None else target.name
+        if source is None or other is None:
+            unknown = self.name if source is None else target.name
             raise ValueError(
                 f'"{self.name}" cannot be converted to "{target.name}": "{unknown}" is not defined in Units'
             )
-        if own.exponents != other.exponents:
+        if source.exponents != other.exponents:
             raise ValueError(f'"{self.name}" and "{target.name}" are units of different quantities')
-        return own.factor / other.factor, (own.offset - other.offset) / other.factor
+        return source.factor / other.factor, (source.offset - other.offset) / other.factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,26 +99,26 @@ class Document:
     def __init__(self, root: Element, label: str, file: Path, package: Path) -> None:
         self.root, self.label, self.file, self.package = root, label, file, package
         self.enumerations = {
-            one.get("name", ""): {
-                item.get("name", ""): item.get("value", "") for item in one.iterfind("Item")
+            enumeration.get("name", ""): {
+                item.get("name", ""): item.get("value", "") for item in enumeration.iterfind("Item")
             }
-            for one in root.iterfind("Enumerations/Enumeration")
+            for enumeration in root.iterfind("Enumerations/Enumeration")
         }
 
     @cached_property
     def _units(self) -> dict[str, SIUnit]:
-        found = {}
+        units = {}
         for unit in self.root.iterfind("Units/Unit"):
             base = unit.find("BaseUnit")
             written = {} if base is None else base.attrib
             numbers = {key: number(text) for key, text in written.items()}
             powers = {key: round(numbers[key]) for key in _BASE_UNITS if numbers.get(key)}
             factor, offset = numbers.get("factor", 1.0), numbers.get("offset", 0.0)
-            found[unit.get("name", "")] = SIUnit(powers, factor, offset)
-        return found
+            units[unit.get("name", "")] = SIUnit(powers, factor, offset)
+        return units
 
     def unit(self, name: str | None) -> Unit:
-        """Return a unit of this file by name: as it defines it, else as it is usual."""
+        """Return a unit by name: as this file defines it, else its usual meaning."""
         name = (name or "").strip(" []")  # some tools write [m]
         try:
             return Unit(name, self._units.get(name) or parse_unit(name))
@@ -208,7 +208,7 @@ class System:
 
 
 class Reader:
-    """Reads an archive and all that it holds.
+    """Reads an archive and all its content.
 
     Parameters
     ----------
@@ -248,9 +248,9 @@ class Reader:
 
     def checked(self, document: Document, root: str) -> Document | None:
         """Return a document if its root and its version are the right ones."""
-        found, version = document.root.tag, document.root.get("version", "")
-        if found != root:
-            self.faults.append(f"{document.label}: its root is <{found[:100]}>; needed: <{root}>")
+        tag, version = document.root.tag, document.root.get("version", "")
+        if tag != root:
+            self.faults.append(f"{document.label}: its root is <{tag[:100]}>; needed: <{root}>")
         elif version not in VERSIONS:
             allowed = " and ".join(VERSIONS)
             self.faults.append(
@@ -268,9 +268,9 @@ class Reader:
             self.faults.append(f'{where}: "{uri}" is outside of the archive; put it into resources/')
         elif not path.is_file():
             there = [
-                one.relative_to(package).as_posix()
-                for one in package.rglob("*")
-                if one.suffix.lower() == path.suffix.lower() and one.is_file()
+                file.relative_to(package).as_posix()
+                for file in package.rglob("*")
+                if file.suffix.lower() == path.suffix.lower() and file.is_file()
             ]
             self.faults.append(f'{where}: no file "{uri}" in the archive; {did_you_mean(uri, there)}')
         else:
@@ -291,7 +291,7 @@ class Reader:
         if len(at) > _DEEPEST:
             self.faults.append(f"{'/'.join(at[:3])}...: more than {_DEEPEST} systems within each other")
             return None
-        system = System(at, document, {}, [Binding(one, document, None) for one in _bindings(xml)])
+        system = System(at, document, {}, [Binding(binding, document, None) for binding in _bindings(xml)])
         system.connectors = self._connectors(xml, document, system.name)
         system.connections = list(children(xml, "Connections", "Connection"))
         for element in xml.iterfind("Elements/*"):
@@ -302,10 +302,10 @@ class Reader:
             if not name or name in system.elements or name in system.missing:
                 what = f'there are two elements "{name}"' if name else "an element has no name"
                 self.faults.append(f"{document.label}: {system.name}: {what}")
-            elif (found := self._element(element, document, (*at, name))) is None:
+            elif (read := self._element(element, document, (*at, name))) is None:
                 system.missing.add(name)
             else:
-                system.elements[name] = found
+                system.elements[name] = read
         return system
 
     def _element(self, xml: Element, document: Document, at: Path_) -> System | Component | None:
@@ -330,7 +330,7 @@ class Reader:
         if kind in (_SSD_TYPE, _SSP_TYPE):
             inner = self._referenced(kind, path, fragment, document, at, where)
             if inner is not None:
-                inner.bindings += [Binding(one, document, inner.document.package) for one in _bindings(xml)]
+                inner.bindings += [Binding(b, document, inner.document.package) for b in _bindings(xml)]
             return inner
         if kind != _FMU:
             self.faults.append(f'{where}: components of type "{kind}" are not supported; export an FMU of it')
@@ -347,7 +347,7 @@ class Reader:
         except FMUImportError as error:
             self.faults.append(f"{where}: {error}")
             return None
-        bindings = [Binding(one, document, resource) for one in _bindings(xml)]
+        bindings = [Binding(binding, document, resource) for binding in _bindings(xml)]
         connectors = self._connectors(xml, document, where)
         fmi_type = _FMI_TYPES[implementation]
         return Component(at, document, connectors, bindings, file, description, fmi_type)
@@ -357,10 +357,10 @@ class Reader:
     ) -> System | None:
         """Return the system that a component stands for: of this file, of another one, or of an archive."""
         if not path:
-            found = next((one for one in document.root.iter("System") if one.get("id") == fragment), None)
-            if found is None:
+            system = next((s for s in document.root.iter("System") if s.get("id") == fragment), None)
+            if system is None:
                 self.faults.append(f'{where}: no system has the id "{fragment}"')
-            return None if found is None else self._system(found, document, at)
+            return None if system is None else self._system(system, document, at)
         file = self.locate(path, document.file.parent, document.package, where)
         if file is None:
             return None
@@ -383,21 +383,21 @@ class Reader:
         return folder
 
     def _connectors(self, xml: Element, document: Document, where: str) -> dict[str, Connector]:
-        found = dict[str, Connector]()
-        for one in children(xml, "Connectors", "Connector"):
-            name = one.get("name", "")
-            typed = next((x for x in one if x.tag not in _NOT_TYPES), None)
+        connectors = dict[str, Connector]()
+        for connector in children(xml, "Connectors", "Connector"):
+            name = connector.get("name", "")
+            typed = next((x for x in connector if x.tag not in _NOT_TYPES), None)
             unit = document.unit(None if typed is None else typed.get("unit"))
-            shape = self._shape(one, f"{document.label}: {where}.{name}")
-            if name in found:
+            shape = self._shape(connector, f"{document.label}: {where}.{name}")
+            if name in connectors:
                 self.faults.append(f'{document.label}: {where}: there are two connectors "{name}"')
             is_real = typed is None or typed.tag in ("Real", "Float64", "Float32")
-            found[name] = Connector(name, one.get("kind", ""), unit, shape, is_real)
-        return found
+            connectors[name] = Connector(name, connector.get("kind", ""), unit, shape, is_real)
+        return connectors
 
     def _shape(self, xml: Element, where: str) -> tuple[int, ...] | None:
         """Return the sizes of a connector; None where it leaves them to others."""
-        sizes = [one.get("size") for one in xml.iterfind("Dimension")]
+        sizes = [dimension.get("size") for dimension in xml.iterfind("Dimension")]
         wrong = [size for size in sizes if size is not None and not re.fullmatch(r"\d{1,6}", size)]
         if wrong:
             self.faults.append(f'{where}: size "{wrong[0]}" is not an integer >= 0')
@@ -405,21 +405,21 @@ class Reader:
 
     def transformation(self, xml: Element, where: str) -> Transformation:
         """Return what a connection or the entry of a mapping does with values."""
-        found = next((one for one in xml if one.tag.endswith("Transformation")), None)
-        if found is None:
+        transformation = next((child for child in xml if child.tag.endswith("Transformation")), None)
+        if transformation is None:
             return Transformation()
-        kind = found.tag.removesuffix("Transformation").removesuffix("Mapping")
+        kind = transformation.tag.removesuffix("Transformation").removesuffix("Mapping")
         try:
             if kind == "Linear":
-                factor, offset = (number(found.get(k, default)) for k, default in _LINEAR)
+                factor, offset = (number(transformation.get(k, default)) for k, default in _LINEAR)
                 return Transformation(factor, offset, kind=kind)
             convert = _CONVERT[kind]
-            entries = [(convert(one.get("source", "")), convert(one.get("target", ""))) for one in found]
+            entries = [(convert(e.get("source", "")), convert(e.get("target", ""))) for e in transformation]
         except (ValueError, KeyError) as error:
-            self.faults.append(f"{where}: <{found.tag}> cannot be read: {error}")
+            self.faults.append(f"{where}: <{transformation.tag}> cannot be read: {error}")
             return Transformation()
         if len({source for source, _ in entries}) < len(entries):
-            self.faults.append(f"{where}: <{found.tag}> has two entries for one value")
+            self.faults.append(f"{where}: <{transformation.tag}> has two entries for one value")
         return Transformation(table=dict(entries), kind=kind)
 
 

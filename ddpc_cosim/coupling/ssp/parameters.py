@@ -114,16 +114,16 @@ class Parameters:
             except ConfigError as error:
                 reader.faults += error.faults
 
-    def _apply(self, one: System | Component) -> None:
+    def _apply(self, target: System | Component) -> None:
         """Apply all bindings within an element, those further out after those further in."""
-        if isinstance(one, System):
-            for within in one.elements.values():
+        if isinstance(target, System):
+            for within in target.elements.values():
                 self._apply(within)
-        for binding in one.bindings:
-            self._apply_binding(one, binding)
+        for binding in target.bindings:
+            self._apply_binding(target, binding)
 
-    def _apply_binding(self, one: System | Component, binding: Binding) -> None:
-        label = f"{binding.document.label}: {one.name}"
+    def _apply_binding(self, target: System | Component, binding: Binding) -> None:
+        label = f"{binding.document.label}: {target.name}"
         document = self._set_of(binding, label)
         if document is None:
             return
@@ -141,9 +141,9 @@ class Parameters:
                 if entry.source in written
             ]
         unused = [
-            name for name, value in given if not self._give(one, name, value, f"{document.label}: {name}")
+            name for name, value in given if not self._give(target, name, value, f"{document.label}: {name}")
         ]
-        self._note_unused(document.label, f"parameters that nothing in {one.name} has", unused)
+        self._note_unused(document.label, f"parameters that nothing in {target.name} has", unused)
 
     def _note_unused(self, label: str, what: str, names: Sequence[str]) -> None:
         if names:
@@ -152,17 +152,17 @@ class Parameters:
                 f"{label}: {what}, which are left out: {', '.join(names[:_SHOWN])}{more}"
             )
 
-    def _give(self, one: System | Component, name: str, value: Value, where: str) -> bool:
+    def _give(self, target: System | Component, name: str, value: Value, where: str) -> bool:
         """Give a value to all variables of a name; return whether there is one."""
-        if isinstance(one, Component):
-            return self._set(one, name, value, where)
-        found = name in one.connectors
-        if found:
-            self._pass_on(Node(one.path, name), value, where)
-        for inner, within in one.elements.items():
+        if isinstance(target, Component):
+            return self._set(target, name, value, where)
+        exists = name in target.connectors
+        if exists:
+            self._pass_on(Node(target.path, name), value, where)
+        for inner, within in target.elements.items():
             if name.startswith(f"{inner}."):
-                found |= self._give(within, name[len(inner) + 1 :], value, where)
-        return found
+                exists |= self._give(within, name[len(inner) + 1 :], value, where)
+        return exists
 
     def _pass_on(self, node: Node, value: Value, where: str) -> None:
         """Give a value to a connector of a system, and to all that is connected to it."""
@@ -176,10 +176,7 @@ class Parameters:
         if not node.element:
             self.connectors[node.name] = arrived.values[0]
         for edge in self._connections.out_of.get(node, ()):
-            component = next(
-                (one for one in self._connections.system.components() if one.path == edge.target.element),
-                None,
-            )
+            component = self._connections.components.get(edge.target.element)
             there = replace(arrived, how=edge.how, converts=edge.converts)
             if component is not None:
                 self._set(component, edge.target.name, there, where)
@@ -224,14 +221,14 @@ class Parameters:
     def _document(
         self, binding: Binding, element: Element, inline: str, root: str, label: str
     ) -> Document | None:
-        """Return what an element names as its source, or holds itself."""
+        """Return the document that an element names as its source, or contains."""
         source, of = element.get("source"), binding.document
         if not source:
-            found = element.find(inline)
-            if found is None:
+            written = element.find(inline)
+            if written is None:
                 self._reader.faults.append(f"{label}: a parameter binding without source and <{root}>")
                 return None
-            return self._reader.checked(Document(found, f"{label}: <{root}>", of.file, of.package), root)
+            return self._reader.checked(Document(written, f"{label}: <{root}>", of.file, of.package), root)
         folder, package = of.file.parent, of.package
         if element.get("sourceBase") == "component" and binding.resource is not None:
             folder = package = binding.resource
@@ -241,15 +238,15 @@ class Parameters:
     def _written(self, document: Document) -> Iterator[tuple[str, Value]]:
         """Yield the parameters of a set."""
         seen = set[str]()
-        for one in document.root.iterfind("Parameters/Parameter"):
-            name = one.get("name", "")
-            typed = next((x for x in one if x.tag not in ("Dimension", "Annotations")), None)
+        for parameter in document.root.iterfind("Parameters/Parameter"):
+            name = parameter.get("name", "")
+            typed = next((x for x in parameter if x.tag not in ("Dimension", "Annotations")), None)
             try:
                 if name in seen:
                     self._reader.warnings.append(f"{document.label}: {name} is there twice; the last counts")
                 if typed is None:
                     raise ValueError("has no value")
-                yield name, _value(typed, document, one.find("Dimension") is not None)
+                yield name, _value(typed, document, parameter.find("Dimension") is not None)
             except ValueError as error:
                 self._reader.faults.append(f"{document.label}: parameter {name}: {error}")
             seen.add(name)
@@ -263,20 +260,20 @@ class Parameters:
         if document is None:
             return []
         entries = list[_Entry]()
-        for one in document.root.iterfind("MappingEntry"):
-            source, target = one.get("source", ""), one.get("target", "")
+        for written in document.root.iterfind("MappingEntry"):
+            source, target = written.get("source", ""), written.get("target", "")
             where = f"{document.label}: {source} to {target}"
             if target in (entry.target for entry in entries):
                 self._reader.faults.append(f"{where}: two parameters are mapped to {target}")
-            how = self._reader.transformation(one, where)
-            entries.append(_Entry(source, target, how, not is_true(one.get("suppressUnitConversion"))))
+            how = self._reader.transformation(written, where)
+            entries.append(_Entry(source, target, how, not is_true(written.get("suppressUnitConversion"))))
         return entries
 
 
 def _value(typed: Element, document: Document, is_array: bool) -> Value:
     """Return a value as written; ValueError: it cannot be read."""
     tag, text = typed.tag, typed.get("value")
-    texts = [(one.text or "") for one in typed.iterfind("Value")]
+    texts = [(value.text or "") for value in typed.iterfind("Value")]
     if text is not None:
         texts = text.split() if is_array and tag not in ("String", "Enumeration") else [text]
     if not texts and not is_array:

@@ -10,7 +10,7 @@ from ddpc_cosim.description import (
     DefaultExperiment,
     DescribedVariable,
     PlantDescription,
-    Signal,
+    PlantSignal,
     default_signals,
 )
 from ddpc_cosim.errors import ConfigError, FMUImportError
@@ -81,7 +81,7 @@ class Clock:
     def is_periodic_input(self) -> bool:
         """Whether it ticks by what the description says, and from outside."""
         is_known = 0.0 < self.interval < math.inf and 0.0 <= self.shift < math.inf
-        is_constant = self.variability in ("constant", "fixed", "tunable")  # nobody changes the latter here
+        is_constant = self.variability in ("constant", "fixed", "tunable")  # the latter are not changed here
         return self.causality == "input" and is_constant and is_known
 
 
@@ -156,19 +156,19 @@ class FMUDescription(Declarations):
 
 
 def direct_dependencies(
-    description: FMUDescription, inputs: Sequence[Signal], outputs: Sequence[Signal]
+    description: FMUDescription, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal]
 ) -> dict[str, frozenset[str]]:
     """Return for outputs the inputs that they depend on directly: all, where the FMU does not say."""
-    found = {}
+    dependencies = {}
     for output in outputs:
         source = output.source
         known = description.dependencies.get(source.alias_of or source.name)
         on = [s for s in inputs if known is None or (s.source.alias_of or s.source.name) in known]
-        found[output.variable.name] = frozenset(signal.variable.name for signal in on)
-    return found
+        dependencies[output.variable.name] = frozenset(signal.variable.name for signal in on)
+    return dependencies
 
 
-def is_sampled(inputs: Sequence[Signal]) -> bool:
+def is_sampled(inputs: Sequence[PlantSignal]) -> bool:
     """Return whether all inputs are discrete: those of a sampled block, such as an exported controller."""
     return bool(inputs) and all(signal.source.variability == "discrete" for signal in inputs)
 
@@ -195,12 +195,12 @@ def choose_interface(description: FMUDescription, fmi_type: str, label: str) -> 
 
 
 def describe_plant(description: FMUDescription, label: str, fmi_type: str) -> PlantDescription:
-    """Return what an FMU that is run in a way is as a plant; errors as of :func:`choose_interface`."""
+    """Return the description of an FMU as a plant; errors as of :func:`choose_interface`."""
     interface = choose_interface(description, fmi_type, label)
     settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
     given = [*description.signals("parameter", "input")]
     inputs = {s.variable.name: s.variable for s in given if s.source.causality == "input"}
-    # However it is run: it is what its author counts in.
+    # However it is run: this is its author's time unit.
     fixed = (offered.fixed_step for offered in description.interfaces.values() if offered.fixed_step)
     return PlantDescription(
         inputs=inputs,

@@ -58,7 +58,7 @@ def read_description(folder: Path, label: str) -> FMUDescription:
 
 @contextmanager
 def _collecting_later() -> Iterator[None]:
-    """Keep the collector from looking at a description again and again while it grows: nothing of it goes."""
+    """Pause the garbage collector while a description grows: none of it can be freed."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -254,13 +254,13 @@ class _Reading:
             kind: InterfaceKind = "co-simulation" if is_slave else "model-exchange"
             identifier = self.root.get("modelIdentifier", "")
             return {kind: Interface(kind, identifier, needs_completed_step=False)}
-        found: dict[str, Interface] = {
+        interfaces: dict[str, Interface] = {
             k: self._interface(k, e) for k, tag in INTERFACES.items() for e in self.root.findall(tag)
         }
-        if not found:
+        if not interfaces:
             offered = self.root.find("ScheduledExecution")
             self.note(defects.NO_INTERFACE, "no interface at all" if offered is None else offered.tag)
-        return found
+        return interfaces
 
     def _interface(self, kind: InterfaceKind, element: Element) -> Interface:
         is_fmi3, is_slave = self.major == 3, kind == "co-simulation"
@@ -290,13 +290,13 @@ class _Reading:
 
     def _source_files(self) -> dict[str, tuple[str, ...]]:
         """Return the source files by model identifier; FMI 3.0 has a file of its own for them."""
-        found: dict[str, tuple[str, ...]] = {}
+        sources: dict[str, tuple[str, ...]] = {}
         for tag in ("ModelExchange", "CoSimulation"):
             for interface in self.root.findall(tag):
                 names = tuple(file.get("name", "") for file in interface.iterfind("SourceFiles/File"))
                 if names:
-                    found.setdefault(interface.get("modelIdentifier", ""), names)
-        return found
+                    sources.setdefault(interface.get("modelIdentifier", ""), names)
+        return sources
 
     def _fmi1_states(self) -> int:
         if self.root.get("numberOfContinuousStates") is None:
@@ -308,8 +308,8 @@ class _Reading:
         return sum(math.prod(self.variables[name].shape) for name in names)
 
     def _experiment(self) -> DefaultExperiment:
-        found = self.root.findall("DefaultExperiment")
-        attributes = found[-1].attrib if found else {}
+        experiments = self.root.findall("DefaultExperiment")
+        attributes = experiments[-1].attrib if experiments else {}
 
         def value(name: str) -> float | None:
             text = attributes.get(name)
@@ -354,7 +354,7 @@ class _Reading:
         return structure
 
     def _name(self, written: str) -> str | None:
-        """Return the name of a variable by what the model structure calls it."""
+        """Return the name of a variable by its identifier in the model structure."""
         name = self.targets.get(integer(written))
         return name if name in self.variables else None
 
@@ -362,10 +362,10 @@ class _Reading:
         """Return the variables that one depends on; None where that is not known."""
         if unknown.dependencies is None:
             return None
-        found = {text: self._name(text) for text in unknown.dependencies.split()}
-        names = tuple(name for name in found.values() if name is not None)
-        if len(names) < len(found):
-            wrong = ", ".join(text for text, name in found.items() if name is None)
+        known = {text: self._name(text) for text in unknown.dependencies.split()}
+        names = tuple(name for name in known.values() if name is not None)
+        if len(names) < len(known):
+            wrong = ", ".join(text for text, name in known.items() if name is None)
             self.note(defects.BAD_DEPENDENCY, f"{unknown.list} {unknown.variable}: {wrong}")
             return None
         return names
@@ -373,7 +373,7 @@ class _Reading:
     def _integer(self, attribute: str) -> int:
         """Return a number of the root element, 0 for none."""
         written = self.root.get(attribute)
-        found = integer(written)
-        if written is not None and found is None:
+        value = integer(written)
+        if written is not None and value is None:
             self.note(defects.NOT_A_NUMBER, f'{attribute} = "{written}"')
-        return max(found or 0, 0)
+        return max(value or 0, 0)

@@ -42,7 +42,7 @@ _FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
 _LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
-_MOST_DIGITS = 20  # more are no reference or size, and take long
+_MOST_DIGITS = 20  # more are not a reference or size, and take long
 _INTEGER = re.compile(rf"\s*[+-]?\d{{1,{_MOST_DIGITS}}}\s*")
 _AS_GOOD_AS_INFINITE = 1e30
 _TEXTS_KEPT = 10_000
@@ -110,15 +110,15 @@ class WrittenVariables(list[_Entry | None]):
 
     def add(self, element: Element, major: int) -> None:
         """Add a variable of a description for an FMI version."""
-        types, own, inner = TYPES[major], element.attrib, None
+        types, attributes, inner = TYPES[major], element.attrib, None
         if major == 3:  # where the element is the type; in FMI 1.0 and 2.0 there is one inside
             inner = element
         else:
             for part in element:
                 if part.tag in types:
-                    inner, own = part, {**part.attrib, **own}
+                    inner, attributes = part, {**part.attrib, **attributes}
                     break
-        get = own.get
+        get = attributes.get
         start = get("start")
         if major == 3 and element.tag in types and not types[element.tag].is_number:
             first = element.find("Start")  # texts and bytes have an element for it
@@ -186,7 +186,7 @@ class VariableReader:
         note: Note,
     ) -> None:
         self.root, self.major, self.units, self.note = root, major, units, note
-        self.display_units = {unit: {one.name: one for one in known} for unit, known in units.items()}
+        self.display_units = {unit: {shown.name: shown for shown in known} for unit, known in units.items()}
         self.elements = 0  # of all arrays
         self.types = dict(self._types())
         self.meanings: dict[tuple[_Traits, bool], _Meaning] = {}
@@ -301,8 +301,8 @@ class VariableReader:
         faults: list[tuple[defects.Kind, str]] = []
         kind = self._kind(traits, has_start, faults, is_real=type_.values == "real")
         unit, shown = (
-            inherited.attributes.get(attribute) if own is None else own
-            for attribute, own in (("unit", traits.unit), ("displayUnit", traits.display_unit))
+            inherited.attributes.get(attribute) if written is None else written
+            for attribute, written in (("unit", traits.unit), ("displayUnit", traits.display_unit))
         )
         display_unit = self._display_unit(unit or "", shown, faults)
         needed = kind[0] in ("input", "parameter", "structuralParameter") and traits.initial != "calculated"
@@ -381,12 +381,12 @@ class VariableReader:
             return noted_number(self.note, entry.name, "start", values[0], 0.0)
         return number(values[0] if values else None, 0.0)
 
-    def _bound(self, entry: _Entry, which: str, own: str | None, meaning: _Meaning) -> float:
+    def _bound(self, entry: _Entry, which: str, text: str | None, meaning: _Meaning) -> float:
         """Return a limit; many tools write the largest number that they know where there is none."""
         none: float = getattr(meaning.type, which)
-        if own is None and not meaning.inherited.attributes:
+        if text is None and not meaning.inherited.attributes:
             return none
-        written = own if own is not None else meaning.inherited.attributes.get(which)
+        written = text if text is not None else meaning.inherited.attributes.get(which)
         # Some types have no limits to write.
         if written is None or meaning.type.values not in ("real", "integer"):
             return none
@@ -396,10 +396,10 @@ class VariableReader:
     def _display_unit(
         self, unit: str, wanted: str | None, faults: list[tuple[defects.Kind, str]]
     ) -> DisplayUnit | None:
-        found = self.display_units.get(unit, {}).get(wanted or "")
-        if wanted and found is None and wanted != unit and unit in self.units:
+        shown = self.display_units.get(unit, {}).get(wanted or "")
+        if wanted and shown is None and wanted != unit and unit in self.units:
             faults.append((defects.UNKNOWN_DISPLAY_UNIT, f"{wanted} for {unit}"))
-        return found
+        return shown
 
     def _state(self, entry: _Entry) -> str:
         """Return the name of the state that a variable is the derivative of; empty for none."""
@@ -415,16 +415,16 @@ class VariableReader:
     ) -> Iterator[tuple[str, DescribedVariable]]:
         """Yield the other names of a variable (FMI 3.0)."""
         for alias in (part for part in parts if part.tag == "Alias"):
-            name, own = alias.get("name"), variable.variable
+            name, target = alias.get("name"), variable.variable
             if not name:
                 self.note(defects.NO_NAME, f"an alias of {variable.name}")
                 continue
             faults: list[tuple[defects.Kind, str]] = []
-            shown = self._display_unit(own.unit, alias.get("displayUnit"), faults) or own.display_unit
+            shown = self._display_unit(target.unit, alias.get("displayUnit"), faults) or target.display_unit
             for kind, what in faults:
                 self.note(kind, f"{name}: {what}")
-            text = alias.get("description") or own.description
-            named = replace(own, name=name, description=text, display_unit=shown)
+            text = alias.get("description") or target.description
+            named = replace(target, name=name, description=text, display_unit=shown)
             yield name, replace(variable, variable=named, alias_of=variable.name)
 
 

@@ -102,24 +102,24 @@ def test_the_data_of_a_noise_free_linear_plant_have_the_rank_of_the_fundamental_
         state = np.array([[0.8, 0.3], [-0.2, 0.6]]) @ state + np.array([0.0, 1.0]) * u[k]
     depth, order = 7, 2
     stacked = np.vstack([hankel_matrix(u, depth), hankel_matrix(y, depth)])
-    found = diagnose(stacked, u, depth + order)
+    quality = diagnose(stacked, u, depth + order)
     size_one = stacked / np.sqrt((stacked**2).mean(axis=1, keepdims=True))
     values = np.linalg.svd(size_one, compute_uv=False)
-    assert (found.data_rank, found.data_rows, found.data_columns) == (depth + order, 14, 74)
-    assert found.smallest_singular_value == pytest.approx(values[depth + order - 1])
-    assert found.condition == pytest.approx(values[0] / values[depth + order - 1])
-    assert found.pe_order >= found.pe_order_needed == 9
+    assert (quality.data_rank, quality.data_rows, quality.data_columns) == (depth + order, 14, 74)
+    assert quality.smallest_singular_value == pytest.approx(values[depth + order - 1])
+    assert quality.condition == pytest.approx(values[0] / values[depth + order - 1])
+    assert quality.pe_order >= quality.pe_order_needed == 9
 
 
 def test_the_figures_do_not_depend_on_units() -> None:
     rng = np.random.default_rng(1)
     u, y = rng.standard_normal((60, 1)), rng.standard_normal((60, 1))
-    found, elsewhere = (
+    quality, elsewhere = (
         diagnose(np.vstack([hankel_matrix(a * u, 5), hankel_matrix(b * y, 5)]), a * u, 6)
         for a, b in ((1.0, 1.0), (1e6, 1e-6))
     )
-    assert elsewhere.data_rank == found.data_rank == 10
-    assert elsewhere.as_dict() == pytest.approx(found.as_dict(), rel=1e-9)
+    assert elsewhere.data_rank == quality.data_rank == 10
+    assert elsewhere.as_dict() == pytest.approx(quality.as_dict(), rel=1e-9)
 
 
 def test_a_recording_too_short_is_told_the_shortest_that_works() -> None:

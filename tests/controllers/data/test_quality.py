@@ -161,11 +161,11 @@ def test_dead_times_are_found(delay: int, noise: float, seed: int) -> None:
     ids=repr,
 )
 def test_a_dead_time_beyond_horizon_or_memory_is_told(controller: Controller, spanned: int) -> None:
-    def told(samples: int) -> bool:
+    def warns(samples: int) -> bool:
         recording = recording_of(8, delay=samples - 1)
         return any("does not answer" in text for text in started(controller, loop_with(recording)).warnings())
 
-    assert [told(spanned), told(spanned + 1)] == [False, True]
+    assert [warns(spanned), warns(spanned + 1)] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -182,12 +182,12 @@ def test_a_dead_time_beyond_horizon_or_memory_is_told(controller: Controller, sp
     ids=repr,
 )
 def test_the_remedy_names_settings_that_the_method_has(controller: Controller, remedy: str) -> None:
-    (told,) = (
+    (warning,) = (
         text
         for text in started(controller, loop_with(recording_of(8, delay=8))).warnings()
         if "does not answer" in text
     )
-    assert f"{remedy} more slowly" in told
+    assert f"{remedy} more slowly" in warning
 
 
 def error_of_combinations(recording: Recording, ridge: float) -> float:
@@ -213,8 +213,8 @@ def error_of_combinations(recording: Recording, ridge: float) -> float:
 def test_the_ridge_of_deepc_is_part_of_its_prediction(lambda_g: float) -> None:
     recording = recording_of(3)
     ridge = DeePC(regulariser="ridge", lambda_g=lambda_g, lambda_sigma=1e3, scaling="none")
-    found = started(ridge, loop_with(recording)).diagnostics()["prediction_error"]
-    assert found == pytest.approx(error_of_combinations(recording, lambda_g / 1e3), rel=1e-6)
+    error = started(ridge, loop_with(recording)).diagnostics()["prediction_error"]
+    assert error == pytest.approx(error_of_combinations(recording, lambda_g / 1e3), rel=1e-6)
 
 
 def test_what_goes_beyond_the_least_squares_prediction_is_no_part_of_it() -> None:
@@ -247,12 +247,12 @@ def test_signals_far_from_their_nominal_values_are_told(method: Make, torque: fl
     limits = loop.bounds
     bounds = Bounds(limits.u_min * torque, limits.u_max * torque, limits.y_min * angle, limits.y_max * angle)
     loop = replace(loop, bounds=bounds, recording=moved if method in PREDICTIVE else None)
-    told: Sequence[str]
+    warnings: Sequence[str]
     try:
-        told = started(method(), loop).warnings()
+        warnings = started(method(), loop).warnings()
     except ConfigError as error:  # so far that nothing can be computed
-        told = error.faults
-    assert sum("nominal value" in text for text in told) == (torque != 1.0) + (angle != 1.0)
+        warnings = error.faults
+    assert sum("nominal value" in text for text in warnings) == (torque != 1.0) + (angle != 1.0)
     # By its range nothing is far from its size.
     assert not [text for text in started(method(scaling="range"), loop).warnings() if "nominal" in text]
 

@@ -37,11 +37,11 @@ def compiled(code: ControllerCode) -> ctypes.CDLL:
         for name, text in code.sources.items():
             (folder / name).write_text(text, encoding="utf-8")
         headers = {name: text for name, text in code.sources.items() if name.endswith(".h")}
-        own = headers.pop("controller.h")
+        header = headers.pop("controller.h")
         objects = []
         for name, text in code.sources.items():
             if name.endswith(".c"):
-                seen = headers | {name: text, "controller.h": own if '"controller.h"' in text else ""}
+                seen = headers | {name: text, "controller.h": header if '"controller.h"' in text else ""}
                 objects.append(_folder() / f"{_digest(seen)}.o")
                 if not objects[-1].exists():
                     _cc(folder, *STRICT, "-fPIC", "-c", name, "-o", str(objects[-1]))

@@ -73,10 +73,10 @@ def solve_all(controller: Posed, loop: Loop, p: FloatArray) -> tuple[FloatArray,
     code = controller.c_code(loop)
     library = compiled(replace(code, sources={**code.sources, "batch.c": BATCH}))
     single = CompiledController(controller, loop)
-    u, told = np.zeros((len(p), controller.answers)), np.zeros((len(p), 3), dtype=np.uint32)
-    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (np.ascontiguousarray(p), u, told)]
+    u, info = np.zeros((len(p), controller.answers)), np.zeros((len(p), 3), dtype=np.uint32)
+    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (np.ascontiguousarray(p), u, info)]
     library.batch(ctypes.byref(single.state), len(p), *pointers)
-    return u, told
+    return u, info
 
 
 def box(rows: FloatArray, low: FloatArray, high: FloatArray) -> CondensedProblem:
@@ -87,9 +87,9 @@ def box(rows: FloatArray, low: FloatArray, high: FloatArray) -> CondensedProblem
     n, k = rows.shape
     span = np.where(high > low, high - low, 1.0)[:, np.newaxis]
     law = np.hstack([rows, np.eye(n)]) / span
-    one = np.concatenate([-high, low])[:, np.newaxis] / np.vstack([span, span])
+    margins = np.concatenate([-high, low])[:, np.newaxis] / np.vstack([span, span])
     return CondensedProblem(
-        excess_law=np.hstack([np.vstack([law, -law]), one]),
+        excess_law=np.hstack([np.vstack([law, -law]), margins]),
         excess_gain=np.vstack([rows, -rows]) / np.vstack([span, span]),
         move_law=np.zeros((k, n + k + 1)),
         move_gain=np.eye(k),
@@ -137,23 +137,23 @@ def test_a_hundred_thousand_optima_with_active_bounds_are_exact(n: int, k: int) 
     p = far_off(rng, 2 * count, k, low, high)
     p = p[(p @ problem.excess_law.T).max(axis=1) > 0.0][:count]
     assert len(p) == count
-    t, told = solve_all(controller, loop, p)
-    assert not told[:, 0].any()
+    t, info = solve_all(controller, loop, p)
+    assert not info[:, 0].any()
     error, active = distance_to_optimum(problem, p, t)
     assert error <= 1e-10
     assert active.min() >= 1
-    np.testing.assert_array_equal(told[:, 2], active)
-    assert told[:, 1].max() <= 4 * (n + k)
+    np.testing.assert_array_equal(info[:, 2], active)
+    assert info[:, 1].max() <= 4 * (n + k)
 
 
 def as_python_does(problem: CondensedProblem, limits: InputLimits, p: FloatArray) -> tuple[FloatArray, int]:
     """Compare answers and faults with those of the law in Python; return answers and number of faults."""
     controller, loop = posed(problem, limits)
-    u, told = solve_all(controller, loop, p)
-    moves = [controller.law.solve(one) for one in p]
-    np.testing.assert_array_equal(told[:, 0] != 0, [move.fault != "" for move in moves])
+    u, info = solve_all(controller, loop, p)
+    moves = [controller.law.solve(parameters) for parameters in p]
+    np.testing.assert_array_equal(info[:, 0] != 0, [move.fault != "" for move in moves])
     np.testing.assert_allclose(u, [move.u for move in moves], rtol=1e-9, atol=1e-9)
-    return u, int((told[:, 0] != 0).sum())
+    return u, int((info[:, 0] != 0).sum())
 
 
 @pytest.mark.parametrize("repeated", ["rows", "nearly rows", "opposite rows", "combinations", "nothing"])
@@ -187,5 +187,5 @@ def test_what_has_no_solution_is_clipped_where_python_clips_it() -> None:
     assert 100 < faults < 400
     p[3:5, 0], p[7, -3] = np.nan, np.inf
     controller, loop = posed(problem, unlimited(k))
-    _, told = solve_all(controller, loop, p)
-    assert [row for row in range(500) if told[row, 0] == 1] == [3, 4, 7]
+    _, info = solve_all(controller, loop, p)
+    assert [row for row in range(500) if info[row, 0] == 1] == [3, 4, 7]

@@ -72,12 +72,12 @@ def written(name: str, folder: Path) -> list[Path]:
 
 def symbols(objects: list[Path], *options: str) -> dict[str, set[str]]:
     """Return the names in object files by their kind, a letter of nm."""
-    found: dict[str, set[str]] = {}
+    by_kind: dict[str, set[str]] = {}
     for line in tool("nm", "-P", *options, *objects).splitlines():
         words = line.split()
         if len(words) >= 2 and len(words[1]) == 1:
-            found.setdefault(words[1], set()).add(words[0])
-    return found
+            by_kind.setdefault(words[1], set()).add(words[0])
+    return by_kind
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

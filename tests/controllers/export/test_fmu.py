@@ -148,8 +148,8 @@ def test_the_closed_loop_is_that_of_the_controller_in_python(
     assert (python.outcome, fmu.outcome) == (Outcome.COMPLETED, Outcome.COMPLETED), fmu.reason
     assert np.abs(python.u).max() == pytest.approx(3.5)
     np.testing.assert_allclose(fmu.u, python.u, atol=3.5e-8)
-    assert [one == "ok" for one in fmu.status] == [one == "ok" for one in python.status]
-    assert any(one != "ok" for one in fmu.status)
+    assert [status == "ok" for status in fmu.status] == [status == "ok" for status in python.status]
+    assert any(status != "ok" for status in fmu.status)
 
 
 def test_signals_are_mapped_by_name_and_units_converted(foreign_fmu: Path) -> None:

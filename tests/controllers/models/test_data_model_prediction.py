@@ -80,7 +80,7 @@ def test_a_diagonal_form_is_one_system_for_each_pair() -> None:
     a, f = LinearisedPrediction(both.regressors(), 2, 5, 3)(phi.ravel().tolist(), known.T.ravel().tolist())
     for i in range(2):
         prediction = LinearisedPrediction(alone.regressors(), 1, 5, 3)
-        one, known_one = prediction(phi[i].ravel().tolist(), known[i].tolist())
-        assert a[i::2, i::2] == pytest.approx(one, abs=1e-15)
+        of_pair, known_one = prediction(phi[i].ravel().tolist(), known[i].tolist())
+        assert a[i::2, i::2] == pytest.approx(of_pair, abs=1e-15)
         assert f[i::2] == pytest.approx(known_one, abs=1e-15)
         assert not a[i::2, 1 - i :: 2].any()

@@ -119,9 +119,14 @@ def test_an_fmu_gives_the_model_of_its_equations(fmu_of: Any, name: str, version
     expected = response(true, loop)
     for derivatives, tolerance in (("auto", 1e-9), ("directional", 1e-9), ("differences", 1e-6)):
         source = FMUModel(fmu=path, derivatives=derivatives, isolated=False)  # type: ignore[arg-type]
-        found = source.model(loop)
-        assert np.abs(markov_parameters(found, 40) - expected).max() <= tolerance * np.abs(expected).max()
-        assert (found.u_0.tolist(), found.y_0) == (list(true.u_0), pytest.approx(np.array(true.y_0)))
+        linearised = source.model(loop)
+        assert (
+            np.abs(markov_parameters(linearised, 40) - expected).max() <= tolerance * np.abs(expected).max()
+        )
+        assert (linearised.u_0.tolist(), linearised.y_0) == (
+            list(true.u_0),
+            pytest.approx(np.array(true.y_0)),
+        )
 
 
 @pytest.mark.parametrize("can_save", [True, False])
@@ -238,8 +243,8 @@ def test_derivatives_that_the_fmu_contradicts_are_a_warning_of_the_controller(tm
     controller.start(loop_of(path, ["u"], ["copy"]))
     (warning,) = controller.warnings()
     assert "directional derivatives of copy are not those of its values" in warning
-    told = controller.model.model(loop_of(path, ["u"], ["copy"]))
-    assert markov_parameters(told, 1)[0, 0, 0] == pytest.approx(1 - np.exp(-H), abs=1e-8)
+    linearised = controller.model.model(loop_of(path, ["u"], ["copy"]))
+    assert markov_parameters(linearised, 1)[0, 0, 0] == pytest.approx(1 - np.exp(-H), abs=1e-8)
 
 
 def test_a_study_names_the_fmu_in_a_table(fmu_of: Any, tmp_path: Path) -> None:

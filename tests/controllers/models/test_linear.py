@@ -225,8 +225,8 @@ def test_pulses_at_an_fmu_give_the_derivatives_of_its_equations(pendulum_fmu: Pa
     with FMUPlant(pendulum_fmu, inputs=["torque"], outputs=["angle", "angular_velocity"]) as plant:
         pulsed = pulse_model(plant, H, operating_input=[1.5], settling_samples=300)
     loop = loop_of(1, 2)
-    expected, found = (markov_parameters(m.model(loop), 30) for m in (exact, pulsed))
-    assert np.abs(found - expected).max() < 1e-5
+    expected, identified = (markov_parameters(m.model(loop), 30) for m in (exact, pulsed))
+    assert np.abs(identified - expected).max() < 1e-5
     assert pulsed.y_0 == pytest.approx([angle, 0.0], abs=1e-7)
 
 

@@ -75,12 +75,12 @@ def component(name: str, source: str, connectors: str = "", bindings: str = "", 
 
 def connectors_of(text: str) -> str:
     """Return connectors, ``"input force N, output x m, output y"``."""
-    found = ""
-    for one in filter(None, (words.split() for words in text.split(","))):
-        kind, name, *unit = one
+    connectors = ""
+    for connector in filter(None, (words.split() for words in text.split(","))):
+        kind, name, *unit = connector
         real = f'<ssc:Real unit="{unit[0]}"/>' if unit else "<ssc:Real/>"
-        found += f'<ssd:Connector name="{name}" kind="{kind}">{real}</ssd:Connector>'
-    return f"<ssd:Connectors>{found}</ssd:Connectors>" if found else ""
+        connectors += f'<ssd:Connector name="{name}" kind="{kind}">{real}</ssd:Connector>'
+    return f"<ssd:Connectors>{connectors}</ssd:Connectors>" if connectors else ""
 
 
 def connection(start: str, end: str, within: str = "", more: str = "") -> str:

@@ -347,12 +347,12 @@ def test_random_linear_parts_become_the_linear_system_that_they_are(seed: int, a
     ]
     whole = np.zeros((9, 9))
     for i, target in enumerate("abc"):
-        own = parts[target].matrices
-        whole[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += own[0]
-        whole[2 * i : 2 * i + 2, 6 + i] = own[1][:, 0]
+        matrices = parts[target].matrices
+        whole[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += matrices[0]
+        whole[2 * i : 2 * i + 2, 6 + i] = matrices[1][:, 0]
         for k, j in enumerate(j for j in range(3) if j != i):
             c = parts["abc"[j]].matrices[2]
-            whole[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] += gains[i, j] * np.outer(own[1][:, 1 + k], c)
+            whole[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] += gains[i, j] * np.outer(matrices[1][:, 1 + k], c)
     start = np.concatenate([*(parts[n].x0 for n in "abc"), [1.0, -1.0, 0.5]])
     end = expm(0.2 * whole) @ start
     y = np.array([parts[n].matrices[2] @ end[2 * i : 2 * i + 2] for i, n in enumerate("abc")]).ravel()
@@ -443,8 +443,8 @@ def test_all_parts_are_closed_also_if_one_raises() -> None:
 
 def test_provenance_names_parts_and_files(exported: Exported) -> None:
     with oscillator(halves(exported)) as plant:
-        told = plant.provenance()
-    assert told["coupling"] == "sequential, hold"
-    assert told["parts"] == "front, back"
-    assert Path(told["front.fmu"]).name == "front.fmu"
-    assert len(told["back.fmu_sha256"]) == 64
+        provenance = plant.provenance()
+    assert provenance["coupling"] == "sequential, hold"
+    assert provenance["parts"] == "front, back"
+    assert Path(provenance["front.fmu"]).name == "front.fmu"
+    assert len(provenance["back.fmu_sha256"]) == 64

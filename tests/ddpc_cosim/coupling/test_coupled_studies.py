@@ -66,7 +66,7 @@ def halves(exported: Exported) -> dict[str, Any]:
             {"name": "front", "fmu": str(exported(FRONT))},
             {"name": "back", "fmu": str(exported(BACK))},
         ],
-        "connections": [{"from": one.source, "to": one.target} for one in DISPLACEMENTS],
+        "connections": [{"from": connection.source, "to": connection.target} for connection in DISPLACEMENTS],
         "coupling": {"communication_step": 1e-3, "extrapolation": "linear"},
         "isolated": False,
     }
@@ -173,8 +173,8 @@ def test_a_study_in_python_is_the_one_of_the_file(
     results = Study(problem, {"nothing": "idle"}).run(tmp_path / "out", progress=False)
     del halves["measurements"], halves["isolated"]
     halves["parts"][1]["step"] = 5e-4
-    (case,) = cases_in(write(tmp_path, study(halves)))
-    assert [one.id for one in results.cases] == [case.id]
+    (expected,) = cases_in(write(tmp_path, study(halves)))
+    assert [case.id for case in results.cases] == [expected.id]
 
 
 def test_equations_and_connections_in_python(tmp_path: Path) -> None:
@@ -202,14 +202,14 @@ class TestWhatIsWrong:
             {"from": "front.x", "to": "front.force"},
             {"from": "front.other_x", "to": "front.force"},
         ]
-        told = faults(tmp_path, study(halves))
+        messages = faults(tmp_path, study(halves))
         for words in (
             'plant.connections[4]: connection from "front.y" to "back.other_x": front has no output "y"',
             'plant.connections[5]: connection from "middle.x" to "front.force": no part "middle"',
             'plant.connections[6]: connection from "front.x" to "front.force": "front.x" is in m',
             "plant.connections[7]: connection",
         ):
-            assert words in told
+            assert words in messages
 
     def test_two_sources_of_one_input(self, halves: dict[str, Any], tmp_path: Path) -> None:
         halves["connections"].append({"from": "front.v", "to": "front.other_v"})
@@ -225,9 +225,9 @@ class TestWhatIsWrong:
             in faults(tmp_path, study(halves))
         )
         halves["parts"] = [{"name": "front", "fmu": "x.fmu", "plant": "pendulum"}, {"name": "front"}]
-        told = faults(tmp_path, study(halves))
-        assert 'plant.parts: there are two parts "front"' in told
-        assert 'plant.parts: "front": needs exactly one of the keys fmu and plant' in told
+        messages = faults(tmp_path, study(halves))
+        assert 'plant.parts: there are two parts "front"' in messages
+        assert 'plant.parts: "front": needs exactly one of the keys fmu and plant' in messages
 
     def test_files(self, halves: dict[str, Any], tmp_path: Path) -> None:
         halves["parts"][1] = {"name": "back", "fmu": "missing.fmu"}
@@ -236,10 +236,10 @@ class TestWhatIsWrong:
         )
 
     def test_keys_that_exclude_each_other(self, halves: dict[str, Any], tmp_path: Path) -> None:
-        told = faults(tmp_path, study({**halves, "name": "pendulum"}))
-        assert "plant: needs exactly one of the keys name, fmu, ssp and parts" in told
-        told = faults(tmp_path, study({"name": "pendulum", "outputs": ["angle"], "coupling": {}}))
-        assert "plant.coupling: needs parts or ssp" in told
+        messages = faults(tmp_path, study({**halves, "name": "pendulum"}))
+        assert "plant: needs exactly one of the keys name, fmu, ssp and parts" in messages
+        messages = faults(tmp_path, study({"name": "pendulum", "outputs": ["angle"], "coupling": {}}))
+        assert "plant.coupling: needs parts or ssp" in messages
 
 
 @pytest.mark.parametrize(
@@ -353,10 +353,10 @@ def test_an_archive_is_simulated_in_open_loop(tmp_path: Path) -> None:
     )
     path = write_ssp(tmp_path / "one.ssp", described, {"resources/gain.fmu": GAIN})
     (tmp_path / "in.csv").write_text("time,in\n1,0.5\n2,1.5\n", encoding="utf-8")
-    found = simulate(path, inputs=tmp_path / "in.csv", parameters={"a.k": 2.0}, step=0.5)
-    assert [*found.columns] == ["time [s]", "out [1]", "in [1]"]
+    table = simulate(path, inputs=tmp_path / "in.csv", parameters={"a.k": 2.0}, step=0.5)
+    assert [*table.columns] == ["time [s]", "out [1]", "in [1]"]
     # Inputs are held, so that the output of a step is of the input at its beginning.
-    np.testing.assert_allclose(found.to_numpy(), [[1.0, 1.0, 0.5], [1.5, 1.0, 1.0], [2.0, 2.0, 1.5]])
+    np.testing.assert_allclose(table.to_numpy(), [[1.0, 1.0, 0.5], [1.5, 1.0, 1.0], [2.0, 2.0, 1.5]])
     with pytest.raises(ConfigError, match="trace_calls is of one FMU"):
         simulate(path, trace_calls=tmp_path / "calls.txt")
 
@@ -391,14 +391,14 @@ def test_inputs_of_a_part_that_are_not_continuous_hold_their_last_value(tmp_path
     """As those of an FMU do that is simulated by itself."""
     path = one_part(tmp_path, V("u", 0, causality="input", variability="discrete", start="0"), *GAINED[1:])
     (tmp_path / "in.csv").write_text("time,a.u\n0,1\n1,2\n2,2\n", encoding="utf-8")
-    found = simulate(path, inputs=tmp_path / "in.csv", step=0.5)
-    assert found["a.u [1]"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
-    np.testing.assert_allclose(found["a.y [1]"], [0.0, 1.5, 3.0, 6.0, 9.0])
+    table = simulate(path, inputs=tmp_path / "in.csv", step=0.5)
+    assert table["a.u [1]"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
+    np.testing.assert_allclose(table["a.y [1]"], [0.0, 1.5, 3.0, 6.0, 9.0])
 
 
 def test_steps_that_nobody_asks_for_fit_those_of_the_parts(tmp_path: Path) -> None:
     fixed = '<CoSimulation modelIdentifier="models" fixedInternalStepSize="0.25"/>'
     reals = [variable for variable in GAINED if variable.type == "Real"]
-    found = simulate(one_part(tmp_path, *reals, version="3.0", interfaces=fixed))
-    np.testing.assert_allclose(found["time [s]"], 0.25 * np.arange(9))
-    assert found.attrs["notes"] == ["step = 0.25 s, as the plant does not say"]
+    table = simulate(one_part(tmp_path, *reals, version="3.0", interfaces=fixed))
+    np.testing.assert_allclose(table["time [s]"], 0.25 * np.arange(9))
+    assert table.attrs["notes"] == ["step = 0.25 s, as the plant does not say"]

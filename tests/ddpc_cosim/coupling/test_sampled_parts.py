@@ -61,5 +61,5 @@ def test_the_coupled_loop_is_the_sampled_loop(fmi_version: str, pendulum_fmu: Pa
         with CoupledPlant(parts, connections, outputs=["angle"], **how) as coupled:  # type: ignore[arg-type]
             assert coupled.order[0] == "controller"
             coupled.reset()
-            found = [coupled.step(np.array([0.5]), 0.1)[0] for _ in range(40)]
-        np.testing.assert_allclose(found, expected, atol=1e-7, err_msg=str(how))
+            outputs = [coupled.step(np.array([0.5]), 0.1)[0] for _ in range(40)]
+        np.testing.assert_allclose(outputs, expected, atol=1e-7, err_msg=str(how))

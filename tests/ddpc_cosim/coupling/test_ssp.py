@@ -39,8 +39,8 @@ def read(tmp_path: Path) -> Read:
     return read
 
 
-def ways(found: SSPSystem) -> set[tuple[str, str, float, float]]:
-    return {(one.source, one.target, one.factor, one.offset) for one in found.connections}
+def ways(described: SSPSystem) -> set[tuple[str, str, float, float]]:
+    return {(way.source, way.target, way.factor, way.offset) for way in described.connections}
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])
@@ -56,20 +56,20 @@ def test_parts_and_connections_of_a_system(read: Read, version: str) -> None:
         version,
         '<ssd:DefaultExperiment startTime="1" stopTime="3"/>',
     )
-    found = read(description)
-    assert [(part.name, part.source) for part in found.parts] == [
+    result = read(description)
+    assert [(part.name, part.source) for part in result.parts] == [
         ("a", "resources/mass.fmu"),
         ("b", "resources/gain.fmu"),
     ]
-    assert ways(found) == {("a.x", "b.u", 1, 0), ("push", "a.force", 1, 0), ("b.y", "out", 1, 0)}
-    assert [(v.name, v.unit) for v in (*found.inputs, *found.outputs)] == [("push", "N"), ("out", "")]
-    experiment = found.default_experiment
-    assert (found.version, experiment.start_time, experiment.stop_time) == (version, 1.0, 3.0)
+    assert ways(result) == {("a.x", "b.u", 1, 0), ("push", "a.force", 1, 0), ("b.y", "out", 1, 0)}
+    assert [(v.name, v.unit) for v in (*result.inputs, *result.outputs)] == [("push", "N"), ("out", "")]
+    experiment = result.default_experiment
+    assert (result.version, experiment.start_time, experiment.stop_time) == (version, 1.0, 3.0)
 
 
 def test_the_ends_of_a_connection_tell_no_direction(read: Read) -> None:
-    found = read(ssd(system("outer", A, B, connections=connection("b/u", "a/x"))))
-    assert ways(found) == {("a.x", "b.u", 1, 0)}
+    result = read(ssd(system("outer", A, B, connections=connection("b/u", "a/x"))))
+    assert ways(result) == {("a.x", "b.u", 1, 0)}
 
 
 def test_units_are_converted_before_transformations(read: Read) -> None:
@@ -81,9 +81,9 @@ def test_units_are_converted_before_transformations(read: Read) -> None:
         'suppressUnitConversion="true"': (3.0, 7.0),
     }.items():
         wire = connection("a/x", "b/u", linear(3.0, 7.0), more)
-        (found,) = read(ssd(system("outer", A, b, connections=wire), more=units)).connections
-        assert (found.factor, found.offset) == pytest.approx((factor, offset))
-        assert (found.source_unit, found.target_unit) == ("m", "shifted")
+        (way,) = read(ssd(system("outer", A, b, connections=wire), more=units)).connections
+        assert (way.factor, way.offset) == pytest.approx((factor, offset))
+        assert (way.source_unit, way.target_unit) == ("m", "shifted")
 
 
 def test_connections_through_nested_systems_are_one(read: Read) -> None:
@@ -92,11 +92,11 @@ def test_connections_through_nested_systems_are_one(read: Read) -> None:
         "in.ner", B, connections=connection("u1", "b/u", linear(1.0, 1.0)), connectors="input u1 mm"
     )
     outer = system("outer", A, inner, connections=connection("a/x", "in.ner/u1", linear(2.0)))
-    found = read(ssd(outer))
+    result = read(ssd(outer))
     # The transformation is of a value in mm: 2 * (1000 x) + 1.
-    assert ways(found) == {("a.x", "in_ner/b.u", 2000.0, 1.0)}
-    assert [part.name for part in found.parts] == ["a", "in_ner/b"]
-    assert found.warnings == ('"in.ner/b" is called "in_ner/b"; parts have no dots',)
+    assert ways(result) == {("a.x", "in_ner/b.u", 2000.0, 1.0)}
+    assert [part.name for part in result.parts] == ["a", "in_ner/b"]
+    assert result.warnings == ('"in.ner/b" is called "in_ner/b"; parts have no dots',)
 
 
 def test_a_nested_archive_is_a_system(read: Read, tmp_path: Path) -> None:
@@ -117,15 +117,15 @@ def test_a_nested_archive_is_a_system(read: Read, tmp_path: Path) -> None:
         more='type="application/x-ssp-package"',
     )
     outer = system("outer", sub, B, connections=connection("b/y", "sub/f") + connection("sub/place", "b/u"))
-    found = read(ssd(outer, "2.0"), nested__ssp=nested)
-    assert ways(found) == {("b.y", "sub/m.force", 2.0, 0.0), ("sub/m.x", "b.u", 1.0, 0.0)}
-    assert found.parts[0].parameters == {"m": 7.0, "d": 1.0}  # those of the component come last
+    result = read(ssd(outer, "2.0"), nested__ssp=nested)
+    assert ways(result) == {("b.y", "sub/m.force", 2.0, 0.0), ("sub/m.x", "b.u", 1.0, 0.0)}
+    assert result.parts[0].parameters == {"m": 7.0, "d": 1.0}  # those of the component come last
 
 
 def test_a_system_of_the_same_file_can_be_there_twice(read: Read) -> None:
-    one = system("one", A).replace("<ssd:System ", '<ssd:System id="s" ')
+    inner = system("one", A).replace("<ssd:System ", '<ssd:System id="s" ')
     two = component("two", "#s", more='type="application/x-ssp-definition"')
-    assert [part.name for part in read(ssd(system("outer", one, two))).parts] == ["one/a", "two/a"]
+    assert [part.name for part in read(ssd(system("outer", inner, two))).parts] == ["one/a", "two/a"]
 
 
 def test_a_system_that_contains_itself_is_refused(read: Read) -> None:
@@ -140,10 +140,10 @@ def test_values_further_out_and_later_ones_count_more(read: Read) -> None:
         "a", "resources/mass.fmu", bindings=binding(ssv({"m": 1.5, "c": 1.5})) + binding(ssv({"d": 1.5}))
     )
     inner = system("in", a, bindings=binding(ssv({"a.c": 2.5, "a.d": 2.5})) + binding(ssv({"a.d": 3.5})))
-    found = read(
+    result = read(
         ssd(system("outer", inner, bindings=binding("resources/p.ssv"))), p__ssv=ssv({"in.a.m": 9.0})
     )
-    assert found.parts[0].parameters == {"m": 9.0, "c": 2.5, "d": 3.5}
+    assert result.parts[0].parameters == {"m": 9.0, "c": 2.5, "d": 3.5}
 
 
 def test_a_prefix_and_a_mapping_with_transformations(read: Read) -> None:
@@ -156,10 +156,10 @@ def test_a_prefix_and_a_mapping_with_transformations(read: Read) -> None:
     description = ssd(
         system("outer", A, bindings=binding("resources/p.ssv", "resources/p.ssm", 'prefix="p."'))
     )
-    found = read(description, p__ssv=values, p__ssm=mapping)
-    assert found.parts[0].parameters == pytest.approx({"m": 4.5, "c": 10.0})
+    result = read(description, p__ssv=values, p__ssm=mapping)
+    assert result.parts[0].parameters == pytest.approx({"m": 4.5, "c": 10.0})
     inline = ssd(system("outer", A, bindings=binding(values, mapping, 'prefix="p."')))
-    assert read(inline).parts[0].parameters == found.parts[0].parameters
+    assert read(inline).parts[0].parameters == result.parts[0].parameters
 
 
 def test_a_value_of_a_connector_goes_where_it_leads(read: Read) -> None:
@@ -178,19 +178,19 @@ def test_a_value_of_a_connector_goes_where_it_leads(read: Read) -> None:
         connectors="input push kN, parameter mass kg",
         bindings=binding(ssv({"push": 0.5, "mass": 4.0})),
     )
-    found = read(ssd(described))
-    a, c = found.parts
+    result = read(ssd(described))
+    a, c = result.parts
     assert (a.parameters, c.parameters) == ({"m": 4.0}, {"m": 12.0})
     assert a.start == {"force": 2.0 * 500.0 + 1.0}
-    (push,) = found.inputs
+    (push,) = result.inputs
     assert (push.name, push.unit, push.start) == ("push", "kN", 0.5)
-    assert ways(found) == {("push", "a.force", 2000.0, 1.0)}
+    assert ways(result) == {("push", "a.force", 2000.0, 1.0)}
 
 
 def test_values_that_fit_nothing_are_told_and_left_out(read: Read) -> None:
-    found = read(ssd(system("outer", A, bindings=binding(ssv({"a.mass": 1.0, "a.m": 2.0, "b.k": 3.0})))))
-    assert found.parts[0].parameters == {"m": 2.0}
-    (warning,) = found.warnings
+    result = read(ssd(system("outer", A, bindings=binding(ssv({"a.mass": 1.0, "a.m": 2.0, "b.k": 3.0})))))
+    assert result.parts[0].parameters == {"m": 2.0}
+    (warning,) = result.warnings
     assert "parameters that nothing in the system has, which are left out: a.mass, b.k" in warning
 
 

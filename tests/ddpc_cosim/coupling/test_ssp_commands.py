@@ -73,18 +73,21 @@ def test_inspect_as_data_has_loops(tmp_path: Path, capsys: pytest.CaptureFixture
         tmp_path / "l.ssp", ssd(system("s", *parts, connections=wires)), {"resources/gain.fmu": GAIN}
     )
     assert inspect.main([str(path), "--json"], standalone_mode=False) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["algebraic_loops"] == [["a.u", "a.y", "b.u", "b.y"]]
-    assert [part["name"] for part in told["parts"]] == ["a", "b"]
-    assert {one["from"]: one["to"] for one in told["connections"]} == {"a.y": "b.u", "b.y": "a.u"}
+    data = json.loads(capsys.readouterr().out)
+    assert data["algebraic_loops"] == [["a.u", "a.y", "b.u", "b.y"]]
+    assert [part["name"] for part in data["parts"]] == ["a", "b"]
+    assert {connection["from"]: connection["to"] for connection in data["connections"]} == {
+        "a.y": "b.u",
+        "b.y": "a.u",
+    }
 
 
 def test_inspect_of_what_cannot_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_ssp(tmp_path / "bad.ssp", ssd(system("s", component("a", "resources/a.fmu"))), {})
     assert inspect.main([str(path)], standalone_mode=False) == 1
-    told = capsys.readouterr().out
-    assert "error\tinvalid-system\tthe system cannot run\tbad.ssp: " in told
-    assert 'SystemStructure.ssd: a: no file "resources/a.fmu" in the archive' in told
+    printed = capsys.readouterr().out
+    assert "error\tinvalid-system\tthe system cannot run\tbad.ssp: " in printed
+    assert 'SystemStructure.ssd: a: no file "resources/a.fmu" in the archive' in printed
 
 
 def test_init_proposes_a_study_that_was_tried(car: Path, tmp_path: Path) -> None:

@@ -111,12 +111,12 @@ class Wired:
 
     def elements(self, name: str) -> list[str]:
         ends = (end for wire in self.wires[name] for end in (wire[0][0], wire[1][0]))
-        return [one for one in dict.fromkeys(ends) if one not in ("in", "out")]
+        return [end for end in dict.fromkeys(ends) if end not in ("in", "out")]
 
     def parts_of(self, name: str) -> Iterator[str]:
-        for one in self.elements(name):
-            if one not in self.wires:
-                yield f"{name}/{one}".lstrip("/")
+        for element in self.elements(name):
+            if element not in self.wires:
+                yield f"{name}/{element}".lstrip("/")
 
     def description(self, parameters: dict[str, float]) -> str:
         outer = self._system("", binding(ssv({k.replace("/", "."): v for k, v in parameters.items()})))
@@ -124,18 +124,19 @@ class Wired:
 
     def _system(self, name: str, bindings: str = "") -> str:
         used = {end for wire in self.wires[name] for end in wire}
-        own = [f"input in{n}" for one, n in used if one == "in"] + [
-            f"output out{n}" for one, n in used if one == "out"
+        connectors = [f"input in{n}" for end, n in used if end == "in"] + [
+            f"output out{n}" for end, n in used if end == "out"
         ]
         elements = [
-            self._system(one) if one in self.wires else self._component(one) for one in self.elements(name)
+            self._system(element) if element in self.wires else self._component(element)
+            for element in self.elements(name)
         ]
         wires = "".join(
             connection(self._end(start, "y", "out"), self._end(end, "u", "in"))
             for start, end in self.wires[name]
         )
         return system(
-            name or "root", *elements, connections=wires, connectors=",".join(own), bindings=bindings
+            name or "root", *elements, connections=wires, connectors=",".join(connectors), bindings=bindings
         )
 
     @staticmethod
@@ -154,8 +155,8 @@ class Wired:
 
     def source(self, part: str, i: int) -> tuple[str, int] | None:
         """Return the output of a part, or the outer input, that an input of a part follows."""
-        name, _, one = part.rpartition("/")
-        return self._before(name, (one, i))
+        name, _, last = part.rpartition("/")
+        return self._before(name, (last, i))
 
     def _before(self, name: str, end: tuple[str, int]) -> tuple[str, int] | None:
         start = next((start for start, target in self.wires[name] if target == end), None)

@@ -130,7 +130,7 @@ def test_a_quarter_car(version: str, tmp_path: Path) -> None:
     files = {"resources/body.fmu": BODY_MODEL, "resources/wheel.fmu": WHEEL_MODEL}
     files |= {"parameters/car.ssv": values, "parameters/car.ssm": mapping}  # type: ignore[dict-item]
     path = write_ssp(tmp_path / "car.ssp", ssd(car, version), files)
-    found = run(path, ["height", "corner/wheel.place", "corner/wheel.speed"], {"road": 50.0}, 0.1, 10)
+    outputs = run(path, ["height", "corner/wheel.place", "corner/wheel.speed"], {"road": 50.0}, 0.1, 10)
     matrix = np.array(
         [
             [0, 1, 0, 0, 0],
@@ -141,8 +141,8 @@ def test_a_quarter_car(version: str, tmp_path: Path) -> None:
         ]
     )
     whole = np.array([expm(0.1 * k * matrix) @ [0, 0, 0, 0, 0.05] for k in range(11)])
-    np.testing.assert_allclose(found[:, 0], 1000.0 * whole[:, 0] + 100.0, atol=1e-3)  # in mm
-    np.testing.assert_allclose(found[:, 1:], whole[:, 2:4], atol=1e-6)
+    np.testing.assert_allclose(outputs[:, 0], 1000.0 * whole[:, 0] + 100.0, atol=1e-3)  # in mm
+    np.testing.assert_allclose(outputs[:, 1:], whole[:, 2:4], atol=1e-6)
 
 
 M1, L1, M2, L2, G = 2.0, 1.0, 1.0, 0.7, 9.81
@@ -239,10 +239,10 @@ def test_a_double_pendulum(tmp_path: Path) -> None:
         {"resources/upper.fmu": UPPER, "resources/lower.fmu": LOWER},
     )
     fine = {"communication_step": 1.25e-4, "extrapolation": "linear"}
-    found = run(path, ["upper.angle", "upper.rate", "lower.angle", "lower.rate"], {}, 0.05, 8, **fine)
+    outputs = run(path, ["upper.angle", "upper.rate", "lower.angle", "lower.rate"], {}, 0.05, 8, **fine)
     start, times = [radians(40.0), 0.0, radians(-25.0), 0.0], np.arange(9) * 0.05
     whole = solve_ivp(_both, (0.0, 0.4), start, "DOP853", times, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(found, whole.y.T, atol=1e-6)
+    np.testing.assert_allclose(outputs, whole.y.T, atol=1e-6)
 
 
 def test_a_linear_transformation_on_a_connection(tmp_path: Path) -> None:

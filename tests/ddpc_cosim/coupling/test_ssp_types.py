@@ -47,15 +47,15 @@ def read(tmp_path: Path) -> Read:
     return read
 
 
-def ways(found: SSPSystem) -> set[tuple[str, str]]:
-    return {(one.source, one.target) for one in found.connections}
+def ways(described: SSPSystem) -> set[tuple[str, str]]:
+    return {(way.source, way.target) for way in described.connections}
 
 
 def test_arrays_are_connected_as_a_whole_and_by_element(read: Read) -> None:
     whole = {(f"a.y[{i}]", f"b.u[{i}]") for i in (1, 2, 3)}
     assert ways(read(connection("a/y", "b/u"))) == whole
-    one = connection("b/short", "a/u", more='startIndices="2" endIndices="3"')
-    assert ways(read(connection("a/y", "b/u"), one)) == whole | {("b.short[2]", "a.u[3]")}
+    by_element = connection("b/short", "a/u", more='startIndices="2" endIndices="3"')
+    assert ways(read(connection("a/y", "b/u"), by_element)) == whole | {("b.short[2]", "a.u[3]")}
 
 
 def test_sizes_that_differ_and_elements_that_are_not_there(read: Read) -> None:
