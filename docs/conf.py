@@ -106,11 +106,13 @@ def _warn_of_what_is_loaded(app: Sphinx, exception: Exception | None) -> None:
 
 
 def _add_settings(_app: Sphinx, what: str, _name: str, obj: Any, _options: object, lines: list[str]) -> None:
-    """Add what a plug-in class declares of its settings to its docstring."""
-    if what == "class" and dataclasses.is_dataclass(obj) and (settings := ddpc_cosim.declared_settings(obj)):
+    """Add what a class declares of its settings to its docstring, if that does not tell of them itself."""
+    if what != "class" or not dataclasses.is_dataclass(obj) or "Parameters" in lines:
+        return
+    if settings := ddpc_cosim.declared_settings(obj):
         lines += ["", "Parameters", "----------"]
         for name, info in settings.items():
-            lines += [f"{name} : {info.allowed}", f"    {info.doc}".replace("|", r"\|")]
+            lines += [f"{name} : {info.allowed}", f"    {info.meaning}".replace("|", r"\|")]
 
 
 def setup(app: Sphinx) -> None:

@@ -85,23 +85,12 @@ class Conditions:
         Signals of the inputs that no controller drives.
     recorded_inputs : mapping of str to Reference
         Signals of some of these inputs in the experiment, over its time, which begins at 0.
-    rate_limit : mapping of str to float
-        Largest rate of change of an input, per second, from its value at rest on.
-    delay : mapping of str to float
-        By how much an input acts, or a measurement arrives, late [s]: an integer multiple of the sampling
-        time. Until then the input is at rest, the measurement as at the first sample.
-    backlash : mapping of str to float
-        Width of the play between an input and the plant.
-    quantum : mapping of str to float
-        Measurements are rounded to integer multiples of it.
-    loss : mapping of str to float
-        Probability that a measurement is lost at a sample; at the first one it never is. A controller that
-        accepts missing measurements sees NaN, any other the last value that arrived, with a status that
-        counts as a fallback.
     effects : mapping of str to mapping of str to float
-        The same from ``rate_limit`` on, by name, and what is installed: see :class:`Condition`.
+        By each kind of condition that is installed, ``rate_limit``, ``delay``, ``backlash``, ``quantum``,
+        ``loss`` and those of third parties, the number for each signal: see :class:`Condition` and
+        ``ddpc-cosim list conditions``.
     **more : mapping of str to float
-        These as keywords.
+        These as keywords: ``delay={"torque": 0.2}``.
 
     Raises
     ------
@@ -195,12 +184,14 @@ class Conditions:
 
     def faults_in(
         self, sampling_time: float, steps: float = math.inf, run: str = "run"
-    ) -> Iterable[tuple[str, str, str]]:
-        """Yield kind, signal, and what is wrong with it in a run of so many sampling intervals."""
-        for key, values in self.effects.items():
-            for name, value in values.items():
-                if fault := all_conditions()[key].fault_of(value, sampling_time, steps, run):
-                    yield key, name, fault
+    ) -> list[tuple[str, str, str]]:
+        """Return kind, signal, and what is wrong with it in a run of so many sampling intervals."""
+        return [
+            (key, name, fault)
+            for key, values in self.effects.items()
+            for name, value in values.items()
+            if (fault := all_conditions()[key].fault_of(value, sampling_time, steps, run))
+        ]
 
 
 def may_have(
