@@ -92,8 +92,6 @@ def _details(
 def _of_leaders(told: Findings, shown: Sequence[ControllerResults]) -> Markup:
     """Write the values of those that share the first rank, and how far they are apart."""
     ranking = told.standings
-    if not ranking.tested:
-        return _values(ranking, shown[0].key)
     if len(ranking.keys) > 1 or len(told.leaders) == 1:
         values = [italic(one.label) + " " + _values(ranking, one.key, brief=True) for one in shown]
         return Markup("; ").join(values)
@@ -101,6 +99,8 @@ def _of_leaders(told: Findings, shown: Sequence[ControllerResults]) -> Markup:
     show = formatter(key, 3)
     medians = join_words([show(ranking.samples[key][one.key].median) for one in shown])
     text = Markup("{} {}").format(metric_name(key), medians)
+    if not ranking.tested:
+        return text
     if told.lead is Lead.ALIKE:
         least = with_unit(significant(ranking.relevant_differences[key], 2), metric_unit(key))
         return text + f", in pairs less than {least} apart"

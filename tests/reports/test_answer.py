@@ -325,6 +325,27 @@ def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> Non
     )
 
 
+def test_a_difference_that_is_sure_and_too_small_is_not_called_insignificant(
+    make_results: MakeResults,
+) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        return make_trace(0.3 if key == "a" else 0.3003, outputs=(ANGLE, SPEED), noise_seed=seed)
+
+    results = study(make_results, trace_of, "a", "b")
+    assert findings_of(results.study, results.cases).tells_leaders_apart
+    told = said(results)
+    assert told.startswith("No controller is better than a and b over 12 seeds by enough to matter: a ")
+
+
+def test_medians_that_differ_by_too_little_are_both_given(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", seeds=[0])
+    figures = having(results, {"a": lambda s, n: 2.001, "b": lambda s, n: 2.009})
+    assert said(figures).startswith(
+        "a and b have the best medians on the one seed that was run, which differ by too little to matter: "
+        "mean absolute error 2.00° and 2.01°."
+    )
+
+
 @pytest.mark.parametrize("name", ["<b>x</b>", 'a "quoted" & more'])
 def test_names_are_text(make_results: MakeResults, name: str) -> None:
     results = make_results(

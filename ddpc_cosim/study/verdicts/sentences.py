@@ -82,8 +82,12 @@ def _level(told: Findings, controllers: Labels, over: str) -> Markup:
     """Say that several share the first rank, and why."""
     who = some_of([bold(controllers[name]) for name in told.leaders])
     if not told.standings.tested:
-        return Markup("{} share the best medians {}").format(who, over)
+        if len(told.standings.keys) > 1:  # one may be better in an output, and worse in another
+            return Markup("{} share the best medians {}").format(who, over)
+        return Markup("{} have the best medians {}, which differ by too little to matter").format(who, over)
     if len(told.standings.keys) > 1 or len(told.leaders) == 1:
+        if told.lead is Lead.ALIKE or told.tells_leaders_apart:
+            return Markup("no controller is better than {} {} by enough to matter").format(who, over)
         return Markup("no controller is significantly better than {} {}").format(who, over)
     how = " and are not told apart"
     if told.lead is Lead.ALIKE:

@@ -36,6 +36,12 @@ IN_TWO = {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}}
         ({"a": 1.0, "b": 2.0}, {}, "<b>A</b> is ahead over 8 seeds"),
         ({"a": 1.0, "b": 2.0}, {"seeds": 4}, "<i>A</i> has the best median over 4 seeds"),
         ({"a": 1.0, "b": 2.0}, {"seeds": 1}, "<i>A</i> is ahead on the one seed that was run"),
+        (
+            {"a": 1.0, "b": 1.002},
+            {"seeds": 1, "jitter": 0.0},
+            "<b>A</b> and <b>B</b> have the best medians on the one seed that was run, which differ by too "
+            "little to matter",
+        ),
         ({"a": 1.0}, {}, "there is nothing to compare <i>A</i> with"),
         ({"a": 1.0, "b": 2.0}, {"failed": {"a": 1}}, "<b>B</b> alone has no failed run, over 8 seeds"),
         (
