@@ -184,11 +184,11 @@ def drawing(
 
     key = json_of({"spec": full, "samples": samples, "of": [identifier, description]}).encode() + _SOURCE
     try:
-        found = kept(key, make)
+        picture = kept(key, make)
     except DrawingError as error:
         words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
         return Drawing(Markup('<p class="static note">{}</p>').format(words))
-    return Drawing(Markup(found["svg"]), found["height"], found["vega"])
+    return Drawing(Markup(picture["svg"]), picture["height"], picture["vega"])
 
 
 def drawable(value: Any) -> Any:
@@ -287,5 +287,5 @@ def _tenths(count: int) -> str:
 def _number_ids(svg: str, identifier: str) -> str:
     """Give every drawing ids of its own, counted from one: Vega counts on from drawing to drawing."""
     names = {name: f"{identifier}-{number}" for number, name in enumerate(_ID.findall(svg), start=1)}
-    svg = _ID.sub(lambda found: f' id="{names[found[1]]}"', svg)
-    return _REFERENCE.sub(lambda found: f"url(#{names[found[1]]})", svg)
+    svg = _ID.sub(lambda match: f' id="{names[match[1]]}"', svg)
+    return _REFERENCE.sub(lambda match: f"url(#{names[match[1]]})", svg)

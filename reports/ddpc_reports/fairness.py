@@ -60,9 +60,9 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
         ],
         "Tuning": [_tuning(results, first)],
     }
-    said = [(topic, one) for topic, parts in topics.items() for one in parts]
-    common = Markup(" ").join(one.text for _, one in said if one.alike)
-    differing = [Statement(topic, one.text) for topic, one in said if not one.alike]
+    said = [(topic, part) for topic, parts in topics.items() for part in parts]
+    common = Markup(" ").join(part.text for _, part in said if part.alike)
+    differing = [Statement(topic, part.text) for topic, part in said if not part.alike]
     return [Statement("The same for all", common), *differing] if common else differing
 
 
@@ -73,15 +73,17 @@ def _by_scenario(conditions: Sequence[Condition], said_in: Callable[[Condition],
         said.setdefault(said_in(condition), []).append(italic(condition.label))
     if len(said) == 1:
         return list(said)
-    told = [(some_of(labels), one.text) for one, labels in said.items()]
-    return [_Said(Markup("In {}: {}").format(*one), alike=False) for one in told]
+    return [
+        _Said(Markup("In {}: {}").format(some_of(labels), statement.text), alike=False)
+        for statement, labels in said.items()
+    ]
 
 
 def _preview(condition: Condition) -> _Said:
     return _sentence(condition, _seen, "how far ahead the reference was seen")
 
 
-def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
+def _seen(controller: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.preview:
@@ -102,9 +104,9 @@ def _measurements(first: Condition) -> _Said:
     return used._replace(text=handed + used.text)
 
 
-def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
-    told = trace.knowledge.get("measures", "") if trace else ""
-    return _Fact(f"uses {told}", f"use {told}") if told else _NOT_KNOWN
+def _used(controller: ControllerResults, trace: Trace | None) -> _Fact:
+    measures = trace.knowledge.get("measures", "") if trace else ""
+    return _Fact(f"uses {measures}", f"use {measures}") if measures else _NOT_KNOWN
 
 
 def _limits(first: Condition) -> _Said:
@@ -112,9 +114,9 @@ def _limits(first: Condition) -> _Said:
     if not traces:
         return _Said(Markup("No run tells the limits."), alike=False)
 
-    def limits(signal: int, one: ControllerResults, trace: Trace | None) -> _Fact:
-        told = limits_texts(trace)[signal] if trace else ""
-        return _Fact(f"has {told}", f"have {told}") if told else _NOT_KNOWN
+    def limits(signal: int, controller: ControllerResults, trace: Trace | None) -> _Fact:
+        words = limits_texts(trace)[signal] if trace else ""
+        return _Fact(f"has {words}", f"have {words}") if words else _NOT_KNOWN
 
     signals = [variable.name for variable in (*traces[0].inputs, *traces[0].outputs)]
     differing = [
@@ -146,7 +148,7 @@ def _recording(condition: Condition) -> _Said:
     return said._replace(text=text)
 
 
-def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
+def _learned(controller: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.recorded_samples:
@@ -157,39 +159,43 @@ def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"learns {what}", f"learn {what}")
 
 
-def told_of_plant(results: StudyResults, one: ControllerResults, trace: Trace | None) -> str:
+def told_of_plant(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> str:
     """Return what a controller was told of the plant beforehand; empty where that is not known."""
-    told = without_folders(trace.knowledge.get("plant", "")) if trace else ""
-    section = results.study.controllers.get(one.key)
+    knowledge = without_folders(trace.knowledge.get("plant", "")) if trace else ""
+    section = results.study.controllers.get(controller.key)
     if section is not None and _PLANT_FMU in _values(section.settings):
-        told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
-    return told
+        knowledge = f"{knowledge or 'something not known'}; its settings name the FMU of the plant itself"
+    return knowledge
 
 
-def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
-    told = told_of_plant(results, one, trace)
-    if not told:
+def _told(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> _Fact:
+    knowledge = told_of_plant(results, controller, trace)
+    if not knowledge:
         return _NOT_KNOWN
-    if told == "nothing":
+    if knowledge == "nothing":
         return _Fact("was told nothing of the plant beforehand", "were told nothing of the plant beforehand")
-    return _Fact(f"was told beforehand of the plant: {told}", f"were told beforehand of the plant: {told}")
+    what = f"told beforehand of the plant: {knowledge}"
+    return _Fact(f"was {what}", f"were {what}")
 
 
 def _tuning(results: StudyResults, first: Condition) -> _Said:
     """Say how the settings were found; which ones stands with the settings of the controllers."""
     sections = results.study.controllers
-    tables = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.contenders}
+    tables = {
+        controller.key: sections[controller.key].tuned if controller.key in sections else None
+        for controller in first.contenders
+    }
 
-    def found(one: ControllerResults, trace: Trace | None) -> _Fact:
-        if not (table := tables.get(one.key)):
+    def tuned_how(controller: ControllerResults, trace: Trace | None) -> _Fact:
+        if not (table := tables.get(controller.key)):
             return _NOT_KNOWN
-        how = _tuned_words(table, [case.seed for case in one.cases])
+        how = _tuned_words(table, [case.seed for case in controller.cases])
         return _Fact(f"has settings {how}", f"have settings {how}")
 
     if not first.contenders:
         return _Said(Markup(""), alike=True)
     some = first.contenders if len(first.contenders) < len(first.controllers) else ()
-    said = _sentence(first, found, "how settings were found", some)
+    said = _sentence(first, tuned_how, "how settings were found", some)
     if len({table.trials if table else 0 for table in tables.values()}) > 1:
         said = said._replace(text=said.text + " So the effort spent on tuning is not known to be equal.")
     return said
@@ -212,8 +218,9 @@ def _sentence(
     """Say a fact of every controller, or of some: the same of several together, of most as of all others."""
     whom, rest = (everyone, " that compete") if everyone else (condition.controllers, "")
     groups: dict[_Fact, list[ControllerResults]] = {}
-    for one in whom:
-        groups.setdefault(telling(one, condition.first_traces.get(one.key)), []).append(one)
+    for controller in whom:
+        fact = telling(controller, condition.first_traces.get(controller.key))
+        groups.setdefault(fact, []).append(controller)
     if _NOT_KNOWN in groups:
         groups[_NOT_KNOWN] = groups.pop(_NOT_KNOWN)
     most = max(groups, key=lambda fact: len(groups[fact]))

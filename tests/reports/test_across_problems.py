@@ -45,9 +45,11 @@ def alike(make_results: MakeResults) -> list[StudyResults]:
 def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
     """Of three that differ by two ranks, the outer ones are further apart than 2.343 sqrt(3 4 / (6 8))."""
     found = found_in(alike)
-    assert found.told.ranks.ranks == {"quick": 1.0, "middle": 2.0, "slow": 3.0}
-    assert found.told.ranks.critical_difference == pytest.approx(2.343 * 0.5, abs=1e-3)
-    assert found.told.ranks.statistic == pytest.approx(friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic)
+    assert found.findings.ranks.ranks == {"quick": 1.0, "middle": 2.0, "slow": 3.0}
+    assert found.findings.ranks.critical_difference == pytest.approx(2.343 * 0.5, abs=1e-3)
+    assert found.findings.ranks.statistic == pytest.approx(
+        friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic
+    )
     table = overall_table(found, "")
     assert [[cell.text.strip() for cell in row.cells] for row in table.rows] == [
         ["1", "a", "100", "100", "0 of 8"],
@@ -109,10 +111,10 @@ def test_failed_runs_problems_in_which_all_fail_and_absent_controllers_are_told(
         make_results(stuck, THREE, title="Out of reach"),
     ]
     found = found_in(results)
-    assert found.told.ranks.problems == 2
-    assert found.told.ranks.ranks == {"quick": 1.5, "slow": 1.5}
-    assert found.told.failed == {"quick": (1, 3), "middle": (0, 2), "slow": (0, 3)}
-    assert math.isnan(found.told.ranks.p)
+    assert found.findings.ranks.problems == 2
+    assert found.findings.ranks.ranks == {"quick": 1.5, "slow": 1.5}
+    assert found.findings.failed == {"quick": (1, 3), "middle": (0, 2), "slow": (0, 3)}
+    assert math.isnan(found.findings.ranks.p)
     told = said(found)
     assert told["Left out"] == "In Out of reach every controller fails: nothing is ranked there."
     assert told["Not ranked"] == "Middle: not in every problem, so not ranked over all."

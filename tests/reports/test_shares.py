@@ -131,7 +131,7 @@ def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> N
     found = overall(problems)
     assert found
     assert found.distances
-    assert list(found.told.ranks.ranks) == ["good", "fair", "poor"]
+    assert list(found.findings.ranks.ranks) == ["good", "fair", "poor"]
     told = texts(overall_statements(found))
     good = [100 * found.distances.problems[name]["good"].median for name in ("p0", "p1", "p2")]
     assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in told["Distance"]
