@@ -23,13 +23,13 @@ from ddpc_cosim.study.verdicts.standings import Standing, Standings
 from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
-from ddpc_reports.fairness import told_of_plant
+from ddpc_reports.fairness import knowledge_of_plant
 from ddpc_reports.numbers import MINUS, apart, significant, with_unit
 from ddpc_reports.verdict import formatter, p_words
 
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
-_LONGEST_TOLD = 100
+_LONGEST_KNOWLEDGE = 100
 
 
 def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings) -> Markup:
@@ -178,7 +178,7 @@ def _offer_words(
 ) -> list[str]:
     words = []
     if offer.needs_no_recording:
-        words.append(f"learns from no recording{_but_told(counting, who[offer.controller])}")
+        words.append(f"learns from no recording{_knowledge_clause(counting, who[offer.controller])}")
     if offer.key:
         show, more = formatter(offer.key, 2), " or more" if len(leaders) > 1 else ""
         words.append(f"settles to {show(offer.left)} in place of {show(offer.least)}{more}")
@@ -197,12 +197,12 @@ def _offered(
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
 
 
-def _but_told(counting: Sequence[Condition], controller: ControllerResults) -> str:
+def _knowledge_clause(counting: Sequence[Condition], controller: ControllerResults) -> str:
     """Say what a controller was told of the plant; nothing where that is nothing, or not known."""
     trace = counting[0].first_traces.get(controller.key)
-    knowledge = told_of_plant(counting[0].results, controller, trace)
+    knowledge = knowledge_of_plant(counting[0].results, controller, trace)
     return (
-        f", but was told of the plant: {clipped(knowledge, _LONGEST_TOLD)}"
+        f", but was told of the plant: {clipped(knowledge, _LONGEST_KNOWLEDGE)}"
         if knowledge not in ("", "nothing")
         else ""
     )

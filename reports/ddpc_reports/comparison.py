@@ -218,8 +218,8 @@ class Condition:
         """Return the controllers that may be the best, compared each with each over the seeds."""
         return self.findings.compared(key)
 
-    def not_told_apart(self, key: str) -> list[ControllerResults]:
-        """Return those of a ranking that the seeds do not tell from its first; none if too few."""
+    def level_with_first(self, key: str) -> list[ControllerResults]:
+        """Return those not significantly worse than the first of a ranking; none if the seeds are too few."""
         level = self.compared(key).level_with_first if len(self.seeds) > 1 else ()
         return [controller for _, controller in self.ranking(key) if controller.key in level]
 

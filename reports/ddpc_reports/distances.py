@@ -74,13 +74,11 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
             runs[results.study.name] = shares_of(results.cases, points, headline(keys))
-            for kind, of_one in _costs(results, points, keys).items():
-                costs[kind].append(of_one)
+            for kind, medians in _costs(results, points, keys).items():
+                costs[kind].append(medians)
     if not runs:
         return None
-    by_problem = {
-        name: {key: describe_shares(shares) for key, shares in of.items()} for name, of in runs.items()
-    }
+    by_problem = {name: _described(of_problem) for name, of_problem in runs.items()}
     names = dict.fromkeys(scenario for results in problems for scenario in results.study.scenarios)
     scenarios = {name: _over([_part(of_problem, name) for of_problem in runs.values()]) for name in names}
     return Distances(
@@ -100,14 +98,18 @@ def _part(runs: Mapping[str, Runs], scenario: str) -> dict[str, Sample]:
         name: {run: share for run, share in shares.items() if cast("tuple[str, str]", run[0])[0] == scenario}
         for name, shares in runs.items()
     }
-    return {name: describe_shares(shares) for name, shares in parts.items() if shares}
+    return _described({name: shares for name, shares in parts.items() if shares})
+
+
+def _described(runs: Mapping[str, Runs]) -> dict[str, Sample]:
+    return {name: describe_shares(shares) for name, shares in runs.items()}
 
 
 def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
     """Sum up the medians of problems, each as one value, of the controllers that are in all with any."""
-    tables = [of_one for of_one in problems if of_one]
-    names = [name for name in (tables[0] if tables else ()) if all(name in of_one for of_one in tables)]
-    samples_by_name = {name: [of_one[name] for of_one in tables] for name in names}
+    tables = [table for table in problems if table]
+    names = [name for name in (tables[0] if tables else ()) if all(name in table for table in tables)]
+    samples_by_name = {name: [table[name] for table in tables] for name in names}
     return {
         name: describe({("", number): sample.median for number, sample in enumerate(samples)})._replace(
             known=sum(not failed_mostly(sample) for sample in samples)
@@ -224,8 +226,8 @@ def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[
     ]
     ends = [sorted(shares, key=lambda sample: sample.median) for shares in by_controller]
     step, recorded, travel = (
-        [of_one.get(controller.key, math.nan) for controller in rows]
-        for of_one in (far.step, far.recorded, far.travel)
+        [cost.get(controller.key, math.nan) for controller in rows]
+        for cost in (far.step, far.recorded, far.travel)
     )
     unit, factor = time_scale(step)
     medians = [
@@ -275,18 +277,13 @@ def _map(
     marked: Mapping[str, Sequence[str]],
     note: str,
 ) -> Table:
-    rows = [
-        controller
-        for controller in controllers
-        if any(controller.key in of_column for of_column in columns.values())
-    ]
+    known = {key for of_column in columns.values() for key in of_column}
+    rows = [controller for controller in controllers if controller.key in known]
+    keys = [controller.key for controller in rows]
     shown = [
         (
             Heading(title),
-            [
-                share_cell(of_column.get(controller.key), controller.key in marked.get(title, ()), star=True)
-                for controller in rows
-            ],
+            [share_cell(of_column.get(key), key in marked.get(title, ()), star=True) for key in keys],
         )
         for title, of_column in columns.items()
         if of_column

@@ -21,7 +21,7 @@ from markupsafe import Markup
 from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.figures.charts import CONFIG
-from ddpc_reports.figures.drawing import DrawingError, drawn, kept
+from ddpc_reports.figures.drawing import DrawingError, cached_picture, rendered
 from ddpc_reports.figures.signal import Column
 
 _WIDTH = 900
@@ -177,14 +177,14 @@ def drawing(
     samples = {name: columns for name, columns in (data or {}).items() if columns}
 
     def make() -> dict[str, Any]:
-        vega, svg = drawn(full, {name: rows_of(columns) for name, columns in samples.items()})
+        vega, svg = rendered(full, {name: rows_of(columns) for name, columns in samples.items()})
         height = _BOX.search(svg)
         svg = _finish(svg, identifier, description)
         return {"svg": svg, "height": float(height[1]) if height else 0.0, "vega": vega}
 
     key = json_of({"spec": full, "samples": samples, "of": [identifier, description]}).encode() + _SOURCE
     try:
-        picture = kept(key, make)
+        picture = cached_picture(key, make)
     except DrawingError as error:
         words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
         return Drawing(Markup('<p class="static note">{}</p>').format(words))

@@ -19,11 +19,11 @@ from ddpc_reports.verdict import Statement, counted, names
 class _Fact(NamedTuple):
     """What is said of one controller, and of several; empty: it is not known."""
 
-    of_one: str
+    of_single: str
     of_several: str
 
 
-_Telling = Callable[[ControllerResults, Trace | None], _Fact]
+_FactOf = Callable[[ControllerResults, Trace | None], _Fact]
 """What is said of a controller, given its run at the first seed, if that has any samples."""
 _NOT_KNOWN = _Fact("", "")
 _LOST = (Outcome.CRASHED, Outcome.TIMED_OUT)
@@ -34,7 +34,7 @@ _PLANT_FMU = "{plant}"
 """What a setting says in a study that is the path of a file, for the FMU that the study controls."""
 
 
-class _Said(NamedTuple):
+class _Terms(NamedTuple):
     """Sentences on a topic, and whether they say the same of all controllers."""
 
     text: Markup
@@ -56,30 +56,30 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),
         "Prior knowledge": [
-            _sentence(first, partial(_told, results), "what was told beforehand of the plant")
+            _sentence(first, partial(_prior_knowledge, results), "what was told beforehand of the plant")
         ],
         "Tuning": [_tuning(results, first)],
     }
-    said = [(topic, part) for topic, parts in topics.items() for part in parts]
-    common = Markup(" ").join(part.text for _, part in said if part.alike)
-    differing = [Statement(topic, part.text) for topic, part in said if not part.alike]
+    stated = [(topic, terms) for topic, of_topic in topics.items() for terms in of_topic]
+    common = Markup(" ").join(terms.text for _, terms in stated if terms.alike)
+    differing = [Statement(topic, terms.text) for topic, terms in stated if not terms.alike]
     return [Statement("The same for all", common), *differing] if common else differing
 
 
-def _by_scenario(conditions: Sequence[Condition], said_in: Callable[[Condition], _Said]) -> list[_Said]:
+def _by_scenario(conditions: Sequence[Condition], terms_in: Callable[[Condition], _Terms]) -> list[_Terms]:
     """Return what may differ from scenario to scenario, once for those that are alike."""
-    said: dict[_Said, list[Markup]] = {}
+    labels_by_terms: dict[_Terms, list[Markup]] = {}
     for condition in conditions:
-        said.setdefault(said_in(condition), []).append(italic(condition.label))
-    if len(said) == 1:
-        return list(said)
+        labels_by_terms.setdefault(terms_in(condition), []).append(italic(condition.label))
+    if len(labels_by_terms) == 1:
+        return list(labels_by_terms)
     return [
-        _Said(Markup("In {}: {}").format(some_of(labels), statement.text), alike=False)
-        for statement, labels in said.items()
+        _Terms(Markup("In {}: {}").format(some_of(labels), terms.text), alike=False)
+        for terms, labels in labels_by_terms.items()
     ]
 
 
-def _preview(condition: Condition) -> _Said:
+def _preview(condition: Condition) -> _Terms:
     return _sentence(condition, _seen, "how far ahead the reference was seen")
 
 
@@ -95,7 +95,7 @@ def _seen(controller: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"sees {what}", f"see {what}")
 
 
-def _measurements(first: Condition) -> _Said:
+def _measurements(first: Condition) -> _Terms:
     handed = Markup("")
     for trace in first.first_traces.values():
         signals = join_words([clipped(variable.name) for variable in trace.measurements])
@@ -109,10 +109,10 @@ def _used(controller: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"uses {measures}", f"use {measures}") if measures else _NOT_KNOWN
 
 
-def _limits(first: Condition) -> _Said:
+def _limits(first: Condition) -> _Terms:
     traces = list(first.first_traces.values())
     if not traces:
-        return _Said(Markup("No run tells the limits."), alike=False)
+        return _Terms(Markup("No run tells the limits."), alike=False)
 
     def limits(signal: int, controller: ControllerResults, trace: Trace | None) -> _Fact:
         words = limits_texts(trace)[signal] if trace else ""
@@ -127,11 +127,11 @@ def _limits(first: Condition) -> _Said:
         if len({limits_texts(trace)[i] for trace in traces}) > 1
     ]
     if differing:
-        return _Said(Markup(" ").join(differing), alike=False)
-    return _Said(Markup("The limits of inputs and outputs are the same."), alike=True)
+        return _Terms(Markup(" ").join(differing), alike=False)
+    return _Terms(Markup("The limits of inputs and outputs are the same."), alike=True)
 
 
-def _recording(condition: Condition) -> _Said:
+def _recording(condition: Condition) -> _Terms:
     study = condition.results.study
     said = _sentence(condition, _learned, "whether a recording was learned from")
     if study.recording is None:
@@ -159,7 +159,7 @@ def _learned(controller: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"learns {what}", f"learn {what}")
 
 
-def told_of_plant(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> str:
+def knowledge_of_plant(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> str:
     """Return what a controller was told of the plant beforehand; empty where that is not known."""
     knowledge = without_folders(trace.knowledge.get("plant", "")) if trace else ""
     section = results.study.controllers.get(controller.key)
@@ -168,8 +168,8 @@ def told_of_plant(results: StudyResults, controller: ControllerResults, trace: T
     return knowledge
 
 
-def _told(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> _Fact:
-    knowledge = told_of_plant(results, controller, trace)
+def _prior_knowledge(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> _Fact:
+    knowledge = knowledge_of_plant(results, controller, trace)
     if not knowledge:
         return _NOT_KNOWN
     if knowledge == "nothing":
@@ -178,7 +178,7 @@ def _told(results: StudyResults, controller: ControllerResults, trace: Trace | N
     return _Fact(f"was {what}", f"were {what}")
 
 
-def _tuning(results: StudyResults, first: Condition) -> _Said:
+def _tuning(results: StudyResults, first: Condition) -> _Terms:
     """Say how the settings were found; which ones stands with the settings of the controllers."""
     sections = results.study.controllers
     tables = {
@@ -193,7 +193,7 @@ def _tuning(results: StudyResults, first: Condition) -> _Said:
         return _Fact(f"has settings {how}", f"have settings {how}")
 
     if not first.contenders:
-        return _Said(Markup(""), alike=True)
+        return _Terms(Markup(""), alike=True)
     some = first.contenders if len(first.contenders) < len(first.controllers) else ()
     said = _sentence(first, tuned_how, "how settings were found", some)
     if len({table.trials if table else 0 for table in tables.values()}) > 1:
@@ -213,13 +213,13 @@ def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
 
 
 def _sentence(
-    condition: Condition, telling: _Telling, what: str, everyone: Sequence[ControllerResults] = ()
-) -> _Said:
+    condition: Condition, fact_of: _FactOf, what: str, everyone: Sequence[ControllerResults] = ()
+) -> _Terms:
     """Say a fact of every controller, or of some: the same of several together, of most as of all others."""
     whom, rest = (everyone, " that compete") if everyone else (condition.controllers, "")
     groups: dict[_Fact, list[ControllerResults]] = {}
     for controller in whom:
-        fact = telling(controller, condition.first_traces.get(controller.key))
+        fact = fact_of(controller, condition.first_traces.get(controller.key))
         groups.setdefault(fact, []).append(controller)
     if _NOT_KNOWN in groups:
         groups[_NOT_KNOWN] = groups.pop(_NOT_KNOWN)
@@ -233,12 +233,12 @@ def _sentence(
             who = Markup("all controllers")
         elif many and fact is most:
             who = Markup(f"all others{rest}")
-        said = fact.of_several if len(members) > 1 else fact.of_one
+        said = fact.of_several if len(members) > 1 else fact.of_single
         unknown = Markup("of {} it is not known {}").format(who, what)
         parts.append(unknown if fact == _NOT_KNOWN else Markup("{} {}").format(who, said))
     text = Markup("; ").join(parts)
     # What is not known of anybody may differ all the same.
-    return _Said(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1 and most != _NOT_KNOWN)
+    return _Terms(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1 and most != _NOT_KNOWN)
 
 
 def _values(settings: object) -> Iterator[object]:

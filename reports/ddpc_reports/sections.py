@@ -345,8 +345,8 @@ class _Part:
             return []
         if place not in self._over_time:
             sketched = condition not in self.budget.drawn
-            drawn = self._over_time[place] = time_figures(condition, place, sketched=sketched)
-            for name, columns in drawn.samples.items():
+            figures = self._over_time[place] = time_figures(condition, place, sketched=sketched)
+            for name, columns in figures.samples.items():
                 self.data[name] = {key: pack(column) for key, column in columns.items()}
         return _figures(self._over_time[place].figures[kind], place)
 
@@ -393,9 +393,9 @@ class _Part:
     def sections(self) -> list[Section]:
         """Return the sections in their order, those without anything to show left out."""
         parts: list[tuple[str, str, Callable[[str], list[Block]]]] = [
-            ("responses", "Responses", self._drawn("responses")),
-            ("errors", "Errors", self._drawn("errors")),
-            ("control", "Control signals", self._drawn("inputs")),
+            ("responses", "Responses", self._figures_over_time("responses")),
+            ("errors", "Errors", self._figures_over_time("errors")),
+            ("control", "Control signals", self._figures_over_time("inputs")),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
@@ -428,7 +428,7 @@ class _Part:
     def _own(self, report_section: ReportSection, anchor: str) -> Callable[[str], list[Block]]:
         return lambda _: own_blocks(report_section, self.results, f"{self.prefix}{anchor}-")
 
-    def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
+    def _figures_over_time(self, kind: Kind) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, partial(self.over_time, kind), self.budget.sketched)
 
     def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:

@@ -151,7 +151,7 @@ def _times(condition: Condition) -> Markup:
 
 def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
-    unsure = condition.not_told_apart(key)
+    unsure = condition.level_with_first(key)
     return ("; " + level_clause(names(unsure)) if unsure else Markup("")) + _in_pairs(condition, key)
 
 
@@ -215,7 +215,7 @@ def tracking(condition: Condition) -> list[Statement]:
 
 
 def _is_cost(key: str) -> bool:
-    """Whether controllers are ranked by a cost: it may weigh inputs too, and is no tracking error."""
+    """Whether controllers are ranked by a cost: it may weigh inputs too, and is not a tracking error."""
     return split_key(key)[0] == "cost"
 
 
@@ -243,7 +243,7 @@ def _in_short(condition: Condition, key: str) -> Markup:
     else:
         first = _first(condition, key, alike[0])
         text = Markup("{} {}").format(first, median_and_range(alike[0].over_seeds(key), key))
-    unsure = condition.not_told_apart(key)
+    unsure = condition.level_with_first(key)
     if unsure:
         values = {controller.key: show(value) for value, controller in order}
         named = [italic(controller.label) + f" {values[controller.key]}" for controller in unsure]
@@ -364,7 +364,7 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     return (
         text
         + _seed_by_seed(winner, rest[0], key)
-        + _told_apart(condition, key)
+        + _significance(condition, key)
         + _constant([winner, *rest], key)
     )
 
@@ -384,9 +384,9 @@ def _first(condition: Condition, key: str, controller: ControllerResults) -> Mar
     return (italic if unsure else bold)(controller.label)
 
 
-def _told_apart(condition: Condition, key: str) -> Markup:
+def _significance(condition: Condition, key: str) -> Markup:
     """Say from which others the seeds tell the first of a ranking apart, and how sure that is."""
-    compared, unsure = condition.compared(key), condition.not_told_apart(key)
+    compared, unsure = condition.compared(key), condition.level_with_first(key)
     others = {b: difference for (a, b), difference in compared.differences.items() if a == compared.order[0]}
     if compared.too_few_seeds:
         words = _difference(next(iter(others.values())), key)
@@ -522,7 +522,7 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     where = [
         italic(condition.label) + " (from " + some_of(names(unsure)) + ")"
         for condition in conditions
-        if (unsure := condition.not_told_apart(key))
+        if (unsure := condition.level_with_first(key))
     ]
     text = Markup(" The seeds do not tell the first apart in {}.").format(join_words(where)) if where else ""
     behind = [

@@ -31,7 +31,7 @@ from ddpc_reports.figures.charts import (
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 
-_LONGEST_TITLE, _MOST_TOLD = 120, 40
+_LONGEST_TITLE, _MOST_TEXTS = 120, 40
 _MOST_DOTS = 60
 """Seeds of a controller that are drawn as dots of one row."""
 
@@ -194,13 +194,13 @@ def _step_time_row(controller: ControllerResults, words: str, seconds: float) ->
 def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
     """Return a figure of one chart that needs no legend; the caption describes it, and what its marks say."""
     name = f"{identifier}-1"
-    words = "; ".join(_told(spec["data"]["values"]))
+    words = "; ".join(_texts_of_marks(spec["data"]["values"]))
     description = f"{caption} {words}." if words else caption
     view = View(name, clipped(panel, _LONGEST_TITLE), description, spec, drawing(spec, name, description))
     return Figure(identifier, title, caption, (view,))
 
 
-def _told(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _texts_of_marks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the words of marks; of many in a row those of the least, the middle and the largest."""
     by_row: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -208,7 +208,7 @@ def _told(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     chosen: list[Mapping[str, Any]] = []
     for label, marks in by_row.items():
         ranked = sorted(marks, key=itemgetter("value")) if label else marks
-        chosen += [ranked[0], ranked[len(ranked) // 2], ranked[-1]] if label else ranked[:_MOST_TOLD]
+        chosen += [ranked[0], ranked[len(ranked) // 2], ranked[-1]] if label else ranked[:_MOST_TEXTS]
     return list(dict.fromkeys(row["text"] for row in chosen if "text" in row))
 
 

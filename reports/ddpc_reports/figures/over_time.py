@@ -12,7 +12,7 @@ from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.figures.figure import Figure, View, entry, in_its_place
-from ddpc_reports.figures.samples import Over, Said, column_name, said, seen
+from ddpc_reports.figures.samples import InfoSignals, Over, column_name, info_signals, seen
 from ddpc_reports.figures.signal import BAND, Column, Signal, known
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
@@ -20,7 +20,7 @@ from ddpc_reports.tables.settings import own_units, scenario_effects
 
 Kind = Literal["responses", "errors", "inputs"]
 
-_SAID = "What controllers said of their steps"
+_INFO = "What controllers said of their steps"
 _HEIGHTS = {"Responses": (236, 188), "Errors": (176, 134), "Control signals": (164, 124)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
@@ -33,7 +33,7 @@ class TimeFigures(NamedTuple):
     ----------
     figures : dict
         ``responses``: outputs with their reference; ``errors``: reference minus output; ``inputs``: these,
-        and folded their changes and what controllers said. A sentence stands for one that cannot be shown.
+        and folded their changes and what controllers reported. A sentence stands for what cannot be shown.
     samples : dict
         By name the columns of what the figures draw.
     """
@@ -81,16 +81,16 @@ def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -
     errors = figure("Errors", drawn.errors, "reference minus output; each panel has its own scale")
     inputs = figure("Control signals", drawn.inputs, sent)
     inputs += figure("Change of control signals", drawn.changes, change)
-    if (info := said(condition, prefix)).signals:
-        inputs.append(in_its_place(_SAID, partial(_said_figure, scene, info)))
+    if (info := info_signals(condition, prefix)).signals:
+        inputs.append(in_its_place(_INFO, partial(_info_figure, scene, info)))
     shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *info.signals]
     samples = {signal.id: signal.columns for signal in shown}
     samples |= {f"{signal.id}{BAND}": signal.band for signal in shown if signal.band}
     return TimeFigures({"responses": responses, "errors": errors, "inputs": inputs}, samples)
 
 
-def _said_figure(scene: _Scene, info: Said) -> Figure:
-    """Return the folded figure of what controllers said of their steps."""
+def _info_figure(scene: _Scene, info: InfoSignals) -> Figure:
+    """Return the folded figure of what controllers reported of their steps."""
     columns = {name for signal in info.signals for name in signal.columns}
     those = tuple(
         controller for controller in scene.condition.controllers if column_name(controller) in columns
@@ -101,7 +101,7 @@ def _said_figure(scene: _Scene, info: Said) -> Figure:
     )
     rest = f" {info.left_out} more in signals.csv." if info.left_out else ""
     every = f" One of {info.every} samples; all are in signals.csv." if info.every > 1 else ""
-    return _time_figure(replace(scene, panels=_even_panels(those)), info.signals, _SAID, what, every + rest)
+    return _time_figure(replace(scene, panels=_even_panels(those)), info.signals, _INFO, what, every + rest)
 
 
 def _scenario(condition: Condition) -> tuple[list[Mark], str]:

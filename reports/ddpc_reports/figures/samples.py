@@ -16,7 +16,7 @@ from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _BAND_DIGITS = 4
 _FAR = 5.0
-_MOST_SAID, _MOST_DRAWN = 4, 200
+_MOST_NAMES, _MOST_DRAWN = 4, 200
 _MOST_SEEDS, _MOST_ROWS = 20, 200_000
 """Of a band: seeds that are read, and samples of all controllers: these take a second."""
 _BAND_POINTS = 150
@@ -112,8 +112,8 @@ def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]]
 
 
 @dataclass(frozen=True)
-class Said:
-    """What controllers said of their steps at the first seed of a condition.
+class InfoSignals:
+    """What controllers reported of their steps at the first seed of a condition.
 
     Parameters
     ----------
@@ -130,21 +130,21 @@ class Said:
     left_out: int
 
 
-def said(condition: Condition, prefix: str) -> Said:
-    """Read ``Trace.info`` of the first seed and return it as signals; none where nothing was said."""
+def info_signals(condition: Condition, prefix: str) -> InfoSignals:
+    """Return ``Trace.info`` of the first seed as signals; none where no controller reported any."""
     traces = _first_runs(condition)
     names = list(dict.fromkeys(name for trace in traces.values() for name in trace.info))
     if not names:
-        return Said([], 1, 0)
+        return InfoSignals([], 1, 0)
     longest, scaled_by = max(traces.values(), key=len), trusted(traces)
     every = -(-len(longest) // _MOST_DRAWN)
     signals = []
-    for i, name in enumerate(names[:_MOST_SAID]):
+    for i, name in enumerate(names[:_MOST_NAMES]):
         columns = {"t": rounded(longest.time[::every])}
         info = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
         columns |= {key: rounded(values[::every]) for key, values in info.items()}
         signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True))
-    return Said(signals, every, len(names) - len(signals))
+    return InfoSignals(signals, every, len(names) - len(signals))
 
 
 @dataclass(frozen=True)

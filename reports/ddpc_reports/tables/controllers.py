@@ -246,7 +246,7 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
     scale, unit = 1.0, metric_unit(key)
     if unit == "s":
         unit, scale = time_scale([compared.published])
-    # Scaling leaves rounding errors that are no digits of the publication.
+    # Scaling leaves rounding errors that are not digits of the publication.
     published = computed(compared.published * scale)
     comparable = not _is_step_time(key)
     cells = (

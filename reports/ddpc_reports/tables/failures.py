@@ -124,7 +124,7 @@ def _failing(cases: Sequence[CaseResult]) -> tuple[list[list[CaseResult]], int]:
 def _fallbacks(cases: Iterable[CaseResult]) -> Iterator[_Event]:
     for case in cases:
         trace = case.trace()
-        # The fault that ended a case is not a fallback: it is told of the run.
+        # The fault that ended a case is not a fallback: it is shown with the run.
         statuses = trace.status[: trace.decided]
         yield from (
             _Event(status, case, float(trace.time[k])) for k, status in enumerate(statuses) if status != OK

@@ -50,7 +50,7 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
 
 
 def _of_last_with_cases(results: StudyResults) -> dict[str, str]:
-    """Return what is told of the last run that ran cases: one that did not has no part in the figures."""
+    """Return the provenance of the last run that ran cases: only such a run has a part in the figures."""
     last = next((run for run in reversed(results.runs) if run.get(_CASES_RUN) != "0"), {})
     return {name: without_folders(fact) for name, fact in last.items() if name != _CASES_RUN}
 
