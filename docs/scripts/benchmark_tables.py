@@ -37,13 +37,13 @@ def methods(results: Overall) -> str:
         ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "needs data"]
     ]
     for key, controller in results.controllers.items():
-        failed, runs = results.failed[key]
+        failed, runs = results.findings.failed[key]
         step, samples = far.step[key] * 1e6, far.recorded[key]
         share = far.overall[key]
         table.append(
             [
                 controller.label,
-                f"{results.ranks.ranks[key]:.1f}",
+                f"{results.findings.ranks.ranks[key]:.1f}",
                 f"{share_words(share)}{interval_words(share)}",
                 f"{failed} of {runs}",
                 f"{step:.0f} us",

@@ -52,7 +52,7 @@ class Overall:
 
     Parameters
     ----------
-    told : OverallFindings
+    findings : OverallFindings
         Average ranks, performance profile, and the runs that failed.
     left_out : list of str
         Problems, and scenarios of others, in which every controller fails: nothing is ranked.
@@ -66,7 +66,7 @@ class Overall:
         By controller, which kinds tuning chose, and in how many problems; numbers are left out.
     """
 
-    told: OverallFindings
+    findings: OverallFindings
     left_out: list[str]
     controllers: dict[str, ControllerResults]
     labels: dict[str, str]
@@ -76,26 +76,26 @@ class Overall:
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
     """Compare the controllers over all problems; None where fewer than two of either can be compared."""
-    told = overall_findings((results.study, results.cases) for results in problems)
-    if told is None:
+    findings = overall_findings((results.study, results.cases) for results in problems)
+    if findings is None:
         return None
     members: dict[str, ControllerResults] = {}
     left_out = []
-    for results, ranking in zip(problems, told.standings, strict=True):
+    for results, ranking in zip(problems, findings.standings, strict=True):
         everywhere = conditions(results)
         for member in (member for condition in everywhere for member in condition.controllers):
             members.setdefault(member.key, member)
-        unseen = [one for one in everywhere if one.scenario in ranking.left_out]
+        unseen = [condition for condition in everywhere if condition.scenario in ranking.left_out]
         of_scenarios = [f"{results.study.name}: {condition.label}" for condition in unseen]
         left_out += (
             of_scenarios if len(unseen) < len(everywhere) else [results.study.title or results.study.name]
         )
-    shown = {key: members[key] for key in told.ranks.ranks}
+    shown = {key: members[key] for key in findings.ranks.ranks}
     others = [member for member in members.values() if member.key not in shown]
-    far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
+    far = distances(problems, [*shown.values(), *sorted(others, key=lambda controller: controller.is_point)])
     labels = {key: member.label for key, member in members.items()}
     chosen = chosen_kinds([results.study for results in problems])
-    return Overall(told, left_out, shown, labels, far, chosen)
+    return Overall(findings, left_out, shown, labels, far, chosen)
 
 
 def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
@@ -104,7 +104,7 @@ def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
     A kind is a word, a truth, or a plug-in by the name of its class: what a method is then, where a number
     says how much of it.
     """
-    found: dict[str, dict[str, Counter[str]]] = {}
+    counts: dict[str, dict[str, Counter[str]]] = {}
     for study in problems:
         for key, section in study.controllers.items():
             for name in (section.tuned.settings or ()) if section.tuned else ():
@@ -112,38 +112,37 @@ def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
                 if isinstance(value, Mapping) and isinstance(value.get("type"), str):
                     value = value["type"].rpartition(":")[2]
                 if isinstance(value, str | bool):
-                    found.setdefault(key, {}).setdefault(name, Counter())[value_text(value)] += 1
+                    counts.setdefault(key, {}).setdefault(name, Counter())[value_text(value)] += 1
     return {
         key: "; ".join(
             f"{name}: {', '.join(f'{kind} {times}' for kind, times in kinds.most_common())}"
             for name, kinds in settings.items()
         )
-        for key, settings in found.items()
+        for key, settings in counts.items()
     }
 
 
-def overall_answer(found: Overall) -> Markup:
+def overall_answer(comparison: Overall) -> Markup:
     """Return who has the best average rank, from whom it is told apart, and of whom the most runs failed."""
-    ranks, order = found.told.ranks, [*found.controllers.values()]
+    ranks, failed = comparison.findings.ranks, comparison.findings.failed
+    order = [*comparison.controllers.values()]
     first = order[0]
-    text = _best_rank(ranks, found.labels)
+    text = _best_rank(ranks, comparison.labels)
     if ranks.p <= LEVEL:
         text += f"; {ranks_differ_clause(ranks, lambda rank: significant(rank, 2))}"
     text += "."
-    if found.distances and (own := found.distances.overall.get(first.key)):
-        points = names([one for one in found.distances.controllers if one.is_point])
+    if comparison.distances and (share := comparison.distances.overall.get(first.key)):
+        points = names([controller for controller in comparison.distances.controllers if controller.is_point])
         text += Markup(" It comes {}{} of the way between {}.").format(
-            share_words(own), interval_words(own), join_words(points)
+            share_words(share), interval_words(share), join_words(points)
         )
-    failing = sorted(
-        (one for one in order if found.told.failed[one.key][0]),
-        key=lambda one: -found.told.failed[one.key][0],
-    )
+    some_failed = (controller for controller in order if failed[controller.key][0])
+    failing = sorted(some_failed, key=lambda controller: -failed[controller.key][0])
     if failing:
-        most = [failed_runs(one.label, *found.told.failed[one.key]) for one in failing[:_NAMED]]
+        most = [failed_runs(controller.label, *failed[controller.key]) for controller in failing[:_NAMED]]
         text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
-    if found.left_out:
-        text += " " + not_counted_sentence(found.left_out)
+    if comparison.left_out:
+        text += " " + not_counted_sentence(comparison.left_out)
     return text
 
 
@@ -151,48 +150,50 @@ def _best_rank(ranks: AverageRanks, labels: Mapping[str, str]) -> Markup:
     return sentence(best_rank_clause(ranks, labels, significant(min(ranks.ranks.values()), 3)))
 
 
-def first_columns(found: Overall, order: Sequence[ControllerResults]) -> list[Column]:
+def first_columns(comparison: Overall, order: Sequence[ControllerResults]) -> list[Column]:
     """Return average ranks and failed runs, for the matrix of the first screen."""
-    ranks = number_cells([found.told.ranks.ranks.get(one.key, math.nan) for one in order], digits=3)
-    return [(Heading("average rank"), ranks), (Heading("failed", "runs"), _failed_cells(found, order))]
+    ranks = comparison.findings.ranks.ranks
+    cells = number_cells([ranks.get(controller.key, math.nan) for controller in order], digits=3)
+    return [(Heading("average rank"), cells), (Heading("failed", "runs"), _failed_cells(comparison, order))]
 
 
-def _failed_cells(found: Overall, controllers: Iterable[ControllerResults]) -> list[Cell]:
+def _failed_cells(comparison: Overall, controllers: Iterable[ControllerResults]) -> list[Cell]:
+    counts = [comparison.findings.failed.get(controller.key, (0, 0)) for controller in controllers]
     return [
         Cell(f"{failed} of {runs}", failed, failed=failed > 0) if runs else Cell(MISSING)
-        for failed, runs in (found.told.failed.get(one.key, (0, 0)) for one in controllers)
+        for failed, runs in counts
     ]
 
 
-def overall_statements(found: Overall) -> list[Statement]:
+def overall_statements(comparison: Overall) -> list[Statement]:
     """Say who has the best average rank, from whom it is told apart, and who is left out."""
-    ranks = found.told.ranks
-    text = _best_rank(ranks, found.labels)
+    ranks = comparison.findings.ranks
+    text = _best_rank(ranks, comparison.labels)
     if math.isnan(ranks.p):
         test = Markup(" It takes three controllers for a test.")
     else:
         differ = ranks_differ_clause(ranks, lambda rank: significant(rank, 3))
         test = Markup(" Friedman's test: p {}; {}.").format(p_words(ranks.p, "= "), differ)
     statements = [Statement("Ranks", text + "." + test)]
-    if found.distances:
+    if comparison.distances:
         together = [next(iter(ranks.ranks)), *ranks.level_with_first]
-        statements += distance_statements(found.distances, together)
-    if found.left_out:
-        where = join_words([italic(name) for name in found.left_out])
+        statements += distance_statements(comparison.distances, together)
+    if comparison.left_out:
+        where = join_words([italic(name) for name in comparison.left_out])
         nothing = Markup("In {} every controller fails: nothing is ranked there.").format(where)
         statements.append(Statement("Left out", nothing))
     if ranks.left_out:
-        who = join_words([italic(found.labels[name]) for name in ranks.left_out])
+        who = join_words([italic(comparison.labels[name]) for name in ranks.left_out])
         some = Markup("{}: not in every problem, so not ranked over all.").format(who)
         statements.append(Statement("Not ranked", some))
     return statements
 
 
-def overall_table(found: Overall, prefix: str) -> Table:
+def overall_table(comparison: Overall, prefix: str) -> Table:
     """Return average ranks, shares of the runs near the best, and the failed runs."""
-    profile, order = found.told.profile, [*found.controllers]
-    far = found.distances
-    everyone = far.controllers if far else [*found.controllers.values()]
+    profile, order = comparison.findings.profile, [*comparison.controllers]
+    far = comparison.distances
+    everyone = far.controllers if far else [*comparison.controllers.values()]
     blank = [Cell(MISSING)] * (len(everyone) - len(order))
     reached = {
         factor: [
@@ -201,8 +202,8 @@ def overall_table(found: Overall, prefix: str) -> Table:
         ]
         for factor in (1.0, _FACTOR)
     }
-    groups = letters(found.told.ranks.groups)
-    ranks = number_cells([found.told.ranks.ranks[key] for key in order], digits=3)
+    groups = letters(comparison.findings.ranks.groups)
+    ranks = number_cells([comparison.findings.ranks.ranks[key] for key in order], digits=3)
     columns = [
         (Heading("average rank"), [*ranks, *blank]),
         (Heading("group"), [*(Cell(groups[key]) for key in order), *blank]),
@@ -212,10 +213,10 @@ def overall_table(found: Overall, prefix: str) -> Table:
             Heading("within twice", "%", group="share of runs"),
             [*number_cells(reached[_FACTOR], digits=3), *blank],
         ),
-        (Heading("failed", "runs"), _failed_cells(found, everyone)),
+        (Heading("failed", "runs"), _failed_cells(comparison, everyone)),
     ]
-    if found.chosen:
-        kinds = [Cell(found.chosen.get(one.key, MISSING)) for one in everyone]
+    if comparison.chosen:
+        kinds = [Cell(comparison.chosen.get(controller.key, MISSING)) for controller in everyone]
         columns.append((Heading("chosen by tuning", "problems of each kind", numeric=False), kinds))
     notes: tuple[str, ...] = (
         RANKS_NOTE,
@@ -228,60 +229,61 @@ def overall_table(found: Overall, prefix: str) -> Table:
             "medians over the problems; total variation in pairs of the same scenario and seed.",
             SHARE_NOTE,
         )
-    caption = f"Controllers over {found.told.ranks.problems} problems"
+    caption = f"Controllers over {comparison.findings.ranks.problems} problems"
     return controller_table(f"{prefix}overall", caption, everyone, columns, notes, "ranks.csv")
 
 
-def overall_figures(found: Overall, prefix: str) -> list[Figure]:
+def overall_figures(comparison: Overall, prefix: str) -> list[Figure]:
     """Return the critical-difference display of the ranks, and the performance profile."""
-    return [_rank_figure(found, f"{prefix}ranks"), _profile_figure(found, f"{prefix}profile")]
+    return [_rank_figure(comparison, f"{prefix}ranks"), _profile_figure(comparison, f"{prefix}profile")]
 
 
-def _rank_figure(found: Overall, identifier: str) -> Figure:
-    half = found.told.ranks.critical_difference / 2
+def _rank_figure(comparison: Overall, identifier: str) -> Figure:
+    ranks = comparison.findings.ranks
+    half = ranks.critical_difference / 2
     rows = [
         {
-            "label": clipped(one.label),
-            "key": column_name(one),
+            "label": clipped(controller.label),
+            "key": column_name(controller),
             "value": rank,
             "low": rank - half,
             "high": rank + half,
-            "text": f"{one.label}: average rank {significant(rank, 3)}",
+            "text": f"{controller.label}: average rank {significant(rank, 3)}",
         }
-        for one, rank in zip(found.controllers.values(), found.told.ranks.ranks.values(), strict=True)
+        for controller, rank in zip(comparison.controllers.values(), ranks.ranks.values(), strict=True)
     ]
     caption = (
-        f"Average ranks over {found.told.ranks.problems} problems, 1 being the best. Bars are as long as the "
+        f"Average ranks over {ranks.problems} problems, 1 being the best. Bars are as long as the "
         "critical difference of Nemenyi's test at 5 %: controllers whose bars do not overlap are told apart"
     )
     none = (
         "; of two controllers none is, as it takes three"
-        if math.isnan(found.told.ranks.p)
+        if math.isnan(ranks.p)
         else ""
-        if found.told.ranks.p <= LEVEL
+        if ranks.p <= LEVEL
         else "; as Friedman's test finds none to differ, here none is"
     )
     return one_chart(identifier, "Average ranks", f"{caption}{none}.", rank_chart(rows))
 
 
-def _profile_figure(found: Overall, identifier: str) -> Figure:
-    controllers = [*found.controllers.values()]
-    columns = [column_name(one) for one in controllers]
-    steps = np.searchsorted(found.told.profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
+def _profile_figure(comparison: Overall, identifier: str) -> Figure:
+    profile, controllers = comparison.findings.profile, [*comparison.controllers.values()]
+    columns = [column_name(controller) for controller in controllers]
+    steps = np.searchsorted(profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
     drawn = np.unique(steps)  # of many thousand steps what can be seen
     rows = [
         {"key": column, "ratio": float(f"{ratio:.6g}"), "share": float(f"{share:.6g}")}
-        for column, one in zip(columns, controllers, strict=True)
+        for column, controller in zip(columns, controllers, strict=True)
         for ratio, share in [
-            *zip(found.told.profile.ratios[drawn], found.told.profile.shares[one.key][drawn], strict=True),
-            (_WIDEST, found.told.profile.shares[one.key][drawn][-1]),
+            *zip(profile.ratios[drawn], profile.shares[controller.key][drawn], strict=True),
+            (_WIDEST, profile.shares[controller.key][drawn][-1]),
         ]
     ]
     caption = (
         "Performance profile: share of the runs that come within a factor of the best of the same problem, "
         f"scenario and seed, each problem with the same weight. Logarithmic axis, up to {_WIDEST:g}."
     )
-    legend = tuple(entry(one, of_first=False) for one in controllers)
+    legend = tuple(entry(controller, of_first=False) for controller in controllers)
     chart = profile_chart(rows, columns, _WIDEST)
     (view,) = one_chart(identifier, "", caption, chart).views
     return Figure(identifier, "Performance profile", caption, (replace(view, names=tuple(columns)),), legend)

@@ -62,64 +62,67 @@ def _keys(condition: Condition) -> list[str]:
 def _rows(condition: Condition, key: str) -> list[Row]:
     """Return a row per controller: those that are ranked first, the best first, then the others."""
     compared = condition.compared(key)
-    by_key = {one.key: one for one in condition.controllers}
-    order = [by_key[name] for name in compared.order]
-    order += [one for one in condition.controllers if one not in order]  # reference points are the last
-    samples = [describe(one.runs(key)) for one in order]
+    order = [condition.by_key[name] for name in compared.order]
+    # Reference points are the last.
+    order += [controller for controller in condition.controllers if controller not in order]
+    samples = [describe(controller.runs(key)) for controller in order]
     best = order[0] if compared.order else None
-    found = [_to_best(condition, key, one, best) for one in order]
+    differences = [_to_best(condition, key, controller, best) for controller in order]
     letters = {} if compared.too_few_seeds else compared.letters
     unit = metric_unit(key)
     cells = [
         [Cell(f"{s.known} of {s.runs}", s.known, failed=s.known < s.runs) for s in samples],
         number_cells([s.median for s in samples]),
-        _intervals(samples, [not spread(one.runs(key).values()).varies for one in order]),
+        _intervals(samples, [not spread(controller.runs(key).values()).varies for controller in order]),
         *_shares(condition, key, order),
-        number_cells([one.median if one else math.nan for one in found]),
-        _intervals(found, [one is not None and one.constant for one in found]),
-        [_p(one) for one in found],
-        [_ahead(one) for one in found],
-        [Cell(letters.get(one.key, MISSING)) for one in order],
+        number_cells([difference.median if difference else math.nan for difference in differences]),
+        _intervals(differences, [bool(difference and difference.constant) for difference in differences]),
+        [_p(difference) for difference in differences],
+        [_ahead(difference) for difference in differences],
+        [Cell(letters.get(controller.key, MISSING)) for controller in order],
     ]
     group = " / ".join(filter(None, (metric_words(key), unit)))
     return [
-        Row(one.label, tuple(of_one[i] for of_one in cells), one.key, one.index, group)
-        for i, one in enumerate(order)
+        Row(controller.label, tuple(column[i] for column in cells), controller.key, controller.index, group)
+        for i, controller in enumerate(order)
     ]
 
 
 def _to_best(
-    condition: Condition, key: str, one: ControllerResults, best: ControllerResults | None
+    condition: Condition, key: str, controller: ControllerResults, best: ControllerResults | None
 ) -> Difference | None:
     """Return the difference of a controller to the best; None of the best itself, or where there is none."""
-    if best is None or one is best or one.is_point:
+    if best is None or controller is best or controller.is_point:
         return None
-    runs = {best.key: best.runs(key), one.key: one.runs(key)}
-    return condition.compared(key).above(best.key, one.key, runs, metric_of(key).better)
+    runs = {best.key: best.runs(key), controller.key: controller.runs(key)}
+    return condition.compared(key).above(best.key, controller.key, runs, metric_of(key).better)
 
 
 def _shares(condition: Condition, key: str, order: Sequence[ControllerResults]) -> list[list[Cell]]:
     if not condition.points:
         return []
-    found = condition.shares(key)
-    return [share_cells(condition, order, key), [share_interval(found.get(one.key)) for one in order]]
+    shares = condition.shares(key)
+    return [
+        share_cells(condition, order, key),
+        [share_interval(shares.get(controller.key)) for controller in order],
+    ]
 
 
-def _intervals(found: Sequence[Sample | Difference | None], exact: Sequence[bool]) -> list[Cell]:
-    ends = [(one.low, one.high) if one else (math.nan, math.nan) for one in found]
+def _intervals(estimates: Sequence[Sample | Difference | None], exact: Sequence[bool]) -> list[Cell]:
+    ends = [(estimate.low, estimate.high) if estimate else (math.nan, math.nan) for estimate in estimates]
     return [
         Cell(MISSING, MISSING) if math.isnan(low) else Cell(_SAME if same else text, f"{low!r} … {high!r}")
         for text, (low, high), same in zip(interval_texts(ends), ends, exact, strict=True)
     ]
 
 
-def _p(one: Difference | None) -> Cell:
-    if one and one.constant:
+def _p(difference: Difference | None) -> Cell:
+    if difference and difference.constant:
         return Cell(_SAME)
-    return Cell(p_words(one.corrected), one.corrected) if one else Cell(MISSING)
+    return Cell(p_words(difference.corrected), difference.corrected) if difference else Cell(MISSING)
 
 
-def _ahead(one: Difference | None) -> Cell:
-    if not one or math.isnan(one.won):
+def _ahead(difference: Difference | None) -> Cell:
+    if not difference or math.isnan(difference.won):
         return Cell(MISSING)
-    return Cell(f"{as_given(one.won * one.seeds)} of {one.seeds}", one.won)
+    return Cell(f"{as_given(difference.won * difference.seeds)} of {difference.seeds}", difference.won)

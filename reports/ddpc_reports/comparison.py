@@ -146,7 +146,7 @@ class Condition:
     def seeds(self) -> tuple[int, ...]:
         """Seeds of the cases here, in the study's order."""
         everyone = (*self.controllers, *self.variants)
-        return tuple(dict.fromkeys(case.seed for one in everyone for case in one.cases))
+        return tuple(dict.fromkeys(case.seed for controller in everyone for case in controller.cases))
 
     @property
     def points(self) -> ReferencePoints | None:
@@ -156,13 +156,13 @@ class Condition:
     @cached_property
     def contenders(self) -> tuple[ControllerResults, ...]:
         """The controllers that compete."""
-        return tuple(one for one in self.controllers if not one.is_point)
+        return tuple(controller for controller in self.controllers if not controller.is_point)
 
     def shares(self, key: str) -> dict[str, Sample]:
         """Return how far each controller comes between the reference points; empty without a way to go."""
         if key not in self._shares:
             runs = shares_of(self.cases, self.points, [key]) if self.points and metric_of(key).better else {}
-            self._shares[key] = {name: describe_shares(own) for name, own in runs.items()}
+            self._shares[key] = {name: describe_shares(shares) for name, shares in runs.items()}
         return self._shares[key]
 
     @cached_property
@@ -178,7 +178,8 @@ class Condition:
     @cached_property
     def _keys(self) -> tuple[str, ...]:
         everyone = (*self.controllers, *self.variants)
-        return tuple(dict.fromkeys(key for one in everyone for case in one.cases for key in case.metrics))
+        cases = (case for controller in everyone for case in controller.cases)
+        return tuple(dict.fromkeys(key for case in cases for key in case.metrics))
 
     @cached_property
     def first_traces(self) -> dict[str, Trace]:
@@ -196,32 +197,36 @@ class Condition:
         return tuple(key for key in self._keys if split_key(key)[0] == name)
 
     @cached_property
+    def by_key(self) -> dict[str, ControllerResults]:
+        """The controllers by their keys."""
+        return {controller.key: controller for controller in self.controllers}
+
+    @cached_property
     def all_failed(self) -> str:
         """Say that every run of those that compete failed; empty where one did not."""
-        return all_failed(case for one in self.contenders for case in one.cases)
+        return all_failed(case for controller in self.contenders for case in controller.cases)
 
-    def may_win(self, one: ControllerResults) -> bool:
+    def may_win(self, controller: ControllerResults) -> bool:
         """Whether a controller may be the best: it competes, and none of its runs failed."""
-        return one.key in self.findings.sound
+        return controller.key in self.findings.sound
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""
-        by_key = {one.key: one for one in self.controllers}
-        return [(value, by_key[name]) for name, value in self.findings.medians(key).items()]
+        return [(value, self.by_key[name]) for name, value in self.findings.medians(key).items()]
 
     def compared(self, key: str) -> Comparisons:
         """Return the controllers that may be the best, compared each with each over the seeds."""
         return self.findings.compared(key)
 
-    def not_told_apart(self, key: str) -> list[ControllerResults]:
-        """Return those of a ranking that the seeds do not tell from its first; none if too few."""
+    def level_with_first(self, key: str) -> list[ControllerResults]:
+        """Return those not significantly worse than the first of a ranking; none if the seeds are too few."""
         level = self.compared(key).level_with_first if len(self.seeds) > 1 else ()
-        return [one for _, one in self.ranking(key) if one.key in level]
+        return [controller for _, controller in self.ranking(key) if controller.key in level]
 
     def ahead_in_pairs(self, key: str) -> list[ControllerResults]:
         """Return those that the pairs tell to be better than the first of a ranking, despite its median."""
         ahead = self.compared(key).ahead_of_first
-        return [one for one in self.controllers if one.key in ahead]
+        return [controller for controller in self.controllers if controller.key in ahead]
 
     def alike(
         self, key: str, members: Sequence[ControllerResults | None]
@@ -233,14 +238,15 @@ class Condition:
 
         def of(place: int) -> list[int]:
             first = members[place]
-            return [i for i, one in enumerate(members) if one and first and (first.key, one.key) not in apart]
+            others = [(i, member) for i, member in enumerate(members) if member]
+            return [i for i, member in others if first and (first.key, member.key) not in apart]
 
         return of
 
     @property
     def not_ranked(self) -> list[ControllerResults]:
         """The controllers that compete and have a failed case: they come after all others, in its order."""
-        return [one for one in self.contenders if one.failed]
+        return [controller for controller in self.contenders if controller.failed]
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
@@ -251,13 +257,14 @@ def conditions(results: StudyResults) -> tuple[Condition, ...]:
 
 def _condition(results: StudyResults, scenario: str) -> Condition:
     everyone = _controllers_in(results, scenario)
-    sections = results.study.controllers
-    varied = {one.key for one in everyone if one.key in sections and sections[one.key].variant_of}
+    varied = {key for key, section in results.study.controllers.items() if section.variant_of}
     # Reference points stand below those that compete.
-    own = sorted((one for one in everyone if one.key not in varied), key=lambda one: one.is_point)
-    variants = tuple(one for one in everyone if one.key in varied)
-    found = ScenarioFindings(results.study, [case for one in own for case in one.cases])
-    return Condition(results, scenario, tuple(own), variants, found)
+    unvaried = (controller for controller in everyone if controller.key not in varied)
+    controllers = sorted(unvaried, key=lambda controller: controller.is_point)
+    variants = tuple(controller for controller in everyone if controller.key in varied)
+    cases = [case for controller in controllers for case in controller.cases]
+    findings = ScenarioFindings(results.study, cases)
+    return Condition(results, scenario, tuple(controllers), variants, findings)
 
 
 def metric_keys(conditions: Iterable[Condition], name: str) -> tuple[str, ...]:
@@ -278,8 +285,8 @@ def labels(results: StudyResults) -> dict[str, str]:
 def on_one_page(studies: Sequence[StudyResults]) -> list[StudyResults]:
     """Return studies whose controllers of the same name look alike, as they do in all problems of a study."""
     shown = [problem for study in studies for problem in study.problems()]
-    peers = tuple(dict.fromkeys(key for one in shown for key, base in _bases(one).items() if not base))
-    return [replace(study, peers=peers) for study in studies]
+    peers = dict.fromkeys(key for results in shown for key, base in _bases(results).items() if not base)
+    return [replace(study, peers=tuple(peers)) for study in studies]
 
 
 def indices(results: StudyResults) -> dict[str, int]:
@@ -304,9 +311,9 @@ def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerRes
     cases = [case for case in results.cases if case.scenario == scenario]
     numbers, points = indices(results), results.study.report.reference_points
     return tuple(
-        ControllerResults(key, label, numbers[key], own, cases[0].seed, end_of(key, points))
+        ControllerResults(key, label, numbers[key], own_cases, cases[0].seed, end_of(key, points))
         for key, label in labels(results).items()
-        if (own := tuple(case for case in cases if case.controller == key))
+        if (own_cases := tuple(case for case in cases if case.controller == key))
     )
 
 
@@ -352,6 +359,7 @@ def ranked(
     key: str, controllers: Sequence[ControllerResults], values: Sequence[float]
 ) -> list[tuple[float, ControllerResults]]:
     """Return the controllers that have a value of a metric, the best first; equal ones as in the study."""
-    pairs = [(value, one) for value, one in zip(values, controllers, strict=True) if not math.isnan(value)]
     metric = metric_of(key)
-    return sorted(pairs, key=lambda pair: metric.rank(pair[0]))
+    pairs = zip(values, controllers, strict=True)
+    known = [(value, controller) for value, controller in pairs if not math.isnan(value)]
+    return sorted(known, key=lambda pair: metric.rank(pair[0]))

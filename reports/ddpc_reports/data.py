@@ -27,12 +27,12 @@ def json_text(results: Sequence[StudyResults]) -> str:
     ValueError
         There are no results at all.
     """
-    found = gather(results)
+    gathered = gather(results)
     content = {
         "schema_version": SCHEMA_VERSION,
-        "title": found.title,
-        "parts": [_part(part) for part in found.parts],
-        "results": [_results(one) for one in results],
+        "title": gathered.title,
+        "parts": [_part(part) for part in gathered.parts],
+        "results": [_results(study_results) for study_results in results],
         "statistics": {"columns": COLUMNS, "rows": tidy_rows(results)},
     }
     text = json.dumps(_plain(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -50,7 +50,8 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "source": part.source,
         "first": [_block(*block) for block in part.first],
         "sections": [
-            {"title": one.title, "blocks": [_block(*block) for block in one.blocks]} for one in part.sections
+            {"title": section.title, "blocks": [_block(*block) for block in section.blocks]}
+            for section in part.sections
         ],
     }
 
@@ -62,7 +63,8 @@ def _block(kind: str, content: Any) -> dict[str, Any]:
         figure, _ = content
         return {"kind": kind, "title": figure.title, "caption": figure.caption}
     if kind == "statements":
-        return {"kind": kind, "statements": [{"topic": one.topic, "text": one.text} for one in content]}
+        statements = [{"topic": statement.topic, "text": statement.text} for statement in content]
+        return {"kind": kind, "statements": statements}
     return {"kind": kind, "texts": content} if kind == "notes" else {"kind": kind, "text": content}
 
 
@@ -72,8 +74,13 @@ def _table(table: Table) -> dict[str, Any]:
         "id": table.id,
         "caption": table.caption,
         "columns": [
-            {"title": one.title, "detail": one.detail, "group": one.group, "numeric": one.numeric}
-            for one in table.headings
+            {
+                "title": heading.title,
+                "detail": heading.detail,
+                "group": heading.group,
+                "numeric": heading.numeric,
+            }
+            for heading in table.headings
         ],
         "rows": [
             {
@@ -107,34 +114,32 @@ def _results(results: StudyResults) -> dict[str, Any]:
 
 
 def _ranking(part: StudyResults) -> dict[str, Any]:
-    told, names = findings_of(part.study, part.cases), labels(part)
-    found = told.standings
+    findings, names = findings_of(part.study, part.cases), labels(part)
+    ranking = findings.standings
     return {
         "problem": part.study.name,
-        "metrics": found.keys,
-        "lead": told.lead.value,
-        "leaders": told.leaders,
-        "leaders_are_sure": told.is_sure,
-        "leaders_by_scenario": found.leaders_by_scenario,
-        "relevant_differences": [found.relevant_differences[key] for key in found.keys],
-        "seeds": found.seeds,
-        "told_apart_by_seeds": found.tested,
-        "scenarios_left_out": found.left_out,
+        "metrics": ranking.keys,
+        "lead": findings.lead.value,
+        "leaders": findings.leaders,
+        "leaders_are_sure": findings.is_sure,
+        "leaders_by_scenario": ranking.leaders_by_scenario,
+        "relevant_differences": [ranking.relevant_differences[key] for key in ranking.keys],
+        "seeds": ranking.seeds,
+        "told_apart_by_seeds": ranking.tested,
+        "scenarios_left_out": ranking.left_out,
         "order": [
             {
-                "controller": one.controller,
-                "label": names[one.controller],
-                "rank": one.rank if one.shown else None,
-                "worst_rank": one.worst if one.shown else None,
-                "failed": one.failed,
-                "runs": one.runs,
-                "medians": [found.samples[key][one.controller].median for key in found.keys],
-                "intervals": [
-                    [found.samples[key][one.controller].low, found.samples[key][one.controller].high]
-                    for key in found.keys
-                ],
+                "controller": standing.controller,
+                "label": names[standing.controller],
+                "rank": standing.rank if standing.shown else None,
+                "worst_rank": standing.worst if standing.shown else None,
+                "failed": standing.failed,
+                "runs": standing.runs,
+                "medians": [sample.median for sample in samples],
+                "intervals": [[sample.low, sample.high] for sample in samples],
             }
-            for one in found.order
+            for standing in ranking.order
+            for samples in [[ranking.samples[key][standing.controller] for key in ranking.keys]]
         ],
     }
 

@@ -74,67 +74,72 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
             runs[results.study.name] = shares_of(results.cases, points, headline(keys))
-            for kind, of_one in _costs(results, points, keys).items():
-                costs[kind].append(of_one)
+            for kind, medians in _costs(results, points, keys).items():
+                costs[kind].append(medians)
     if not runs:
         return None
-    by_problem = {name: {key: describe_shares(own) for key, own in of.items()} for name, of in runs.items()}
+    by_problem = {name: _described(of_problem) for name, of_problem in runs.items()}
     names = dict.fromkeys(scenario for results in problems for scenario in results.study.scenarios)
-    scenarios = {name: _over([_part(found, name) for found in runs.values()]) for name in names}
+    scenarios = {name: _over([_part(of_problem, name) for of_problem in runs.values()]) for name in names}
     return Distances(
         controllers,
         _over(by_problem.values()),
         by_problem,
-        {name: found for name, found in scenarios.items() if found},
-        {name: _ahead(found) for name, found in runs.items() if found},
-        [name for name, found in runs.items() if not found],
+        {name: samples for name, samples in scenarios.items() if samples},
+        {name: _ahead(of_problem) for name, of_problem in runs.items() if of_problem},
+        [name for name, of_problem in runs.items() if not of_problem],
         **{kind: _medians(of_problems) for kind, of_problems in costs.items()},
     )
 
 
-def _part(found: Mapping[str, Runs], scenario: str) -> dict[str, Sample]:
+def _part(runs: Mapping[str, Runs], scenario: str) -> dict[str, Sample]:
     """Sum up the runs of one scenario of a problem."""
     parts = {
-        name: {run: share for run, share in own.items() if cast("tuple[str, str]", run[0])[0] == scenario}
-        for name, own in found.items()
+        name: {run: share for run, share in shares.items() if cast("tuple[str, str]", run[0])[0] == scenario}
+        for name, shares in runs.items()
     }
-    return {name: describe_shares(own) for name, own in parts.items() if own}
+    return _described({name: shares for name, shares in parts.items() if shares})
+
+
+def _described(runs: Mapping[str, Runs]) -> dict[str, Sample]:
+    return {name: describe_shares(shares) for name, shares in runs.items()}
 
 
 def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
     """Sum up the medians of problems, each as one value, of the controllers that are in all with any."""
-    tables = [of_one for of_one in problems if of_one]
-    names = [name for name in (tables[0] if tables else ()) if all(name in of_one for of_one in tables)]
-    found = {name: [of_one[name] for of_one in tables] for name in names}
+    tables = [table for table in problems if table]
+    names = [name for name in (tables[0] if tables else ()) if all(name in table for table in tables)]
+    samples_by_name = {name: [table[name] for table in tables] for name in names}
     return {
-        name: describe({("", number): one.median for number, one in enumerate(own)})._replace(
-            known=sum(not failed_mostly(one) for one in own)
+        name: describe({("", number): sample.median for number, sample in enumerate(samples)})._replace(
+            known=sum(not failed_mostly(sample) for sample in samples)
         )
-        for name, own in found.items()
+        for name, samples in samples_by_name.items()
     }
 
 
-def _ahead(found: Mapping[str, Runs]) -> list[str]:
-    compared = compare_all({name: floored(own) for name, own in found.items()}, "high")
+def _ahead(runs: Mapping[str, Runs]) -> list[str]:
+    compared = compare_all({name: floored(shares) for name, shares in runs.items()}, "high")
     first, pairs = compared.order[0], compared.differences.items()
-    return [first, *(b for (a, b), one in pairs if a == first and (one.told_worse or not one.told_apart))]
+    others = [(b, difference) for (a, b), difference in pairs if a == first]
+    return [first, *(b for b, behind in others if behind.told_worse or not behind.told_apart)]
 
 
 def _costs(
     results: StudyResults, points: ReferencePoints, keys: Iterable[str]
 ) -> dict[str, dict[str, float]]:
     """Return what each controller costs in one problem, in medians over its runs."""
-    found: dict[str, dict[str, list[float]]] = {"step": {}, "recorded": {}, "travel": {}}
+    figures: dict[str, dict[str, list[float]]] = {"step": {}, "recorded": {}, "travel": {}}
     for case in results.cases:
-        found["recorded"].setdefault(case.controller, []).append(case.recorded_samples)
+        figures["recorded"].setdefault(case.controller, []).append(case.recorded_samples)
         if not math.isnan(step := case.metrics.get(_STEP, math.nan)):
-            found["step"].setdefault(case.controller, []).append(step)
+            figures["step"].setdefault(case.controller, []).append(step)
     travels = [key for key in keys if split_key(key)[0] == _TRAVEL]
-    for one in share_runs(results.cases, points, travels):
-        if one.full > 0 and not one.case.failed:
-            ratio = one.case.metrics[one.metric] / one.full
-            found["travel"].setdefault(one.case.controller, []).append(ratio)
-    return {kind: _medians([{n: v} for n, own in of.items() for v in own]) for kind, of in found.items()}
+    for run in share_runs(results.cases, points, travels):
+        if run.full > 0 and not run.case.failed:
+            ratio = run.case.metrics[run.metric] / run.full
+            figures["travel"].setdefault(run.case.controller, []).append(ratio)
+    return {kind: {name: median(values) for name, values in of.items()} for kind, of in figures.items()}
 
 
 def _medians(tables: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -152,16 +157,16 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
     first : iterable of str
         The controller with the best rank, and those that the problems do not tell apart from it.
     """
-    known = [one for one in far.controllers if one.key in far.overall]
+    known = [controller for controller in far.controllers if controller.key in far.overall]
     if not far.ahead:
         none = Markup("There is no way to go between the reference points in any problem: no shares.")
         return [Statement("Distance", none)]
-    order = sorted(known, key=lambda one: -far.overall[one.key].median)
-    parts = [italic(one.label) + " " + _reach(far, one.key) for one in order[:_NAMED]]
+    order = sorted(known, key=lambda controller: -far.overall[controller.key].median)
+    parts = [italic(controller.label) + " " + _reach(far, controller.key) for controller in order[:_NAMED]]
     if more := order[_NAMED:]:
         words = share_words(far.overall[more[-1].key])
         parts.append(Markup("{} more, the last, <i>{}</i>, {}").format(len(more), more[-1].label, words))
-    points = [one for one in far.controllers if one.is_point]
+    points = [controller for controller in far.controllers if controller.is_point]
     text = Markup("Of the way between {}, which do not compete, in the median of {}: {}.").format(
         join_words(names(points)),
         counted(len(far.ahead), "problem"),
@@ -169,7 +174,7 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
     )
     if far.without:
         text += Markup(" In {} there is no way to go.").format(join_words(far.without))
-    by_key = {one.key: one for one in far.controllers}
+    by_key = {controller.key: controller for controller in far.controllers}
     where = [(name, _ahead_words(far, name, by_key)) for name in far.ahead]
     costs = [italic(by_key[key].label) + f" {_cost_words(far, key)}" for key in first]
     cost = Markup("; ").join(
@@ -184,9 +189,9 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
 
 def _reach(far: Distances, key: str) -> Markup:
     """Write a share over the problems, with its interval, and the least and the most of a problem."""
-    own = {name: found[key] for name, found in far.problems.items() if key in found}
-    least, most = (end(own, key=lambda name: own[name].median) for end in (min, max))
-    sample, low, high = far.overall[key], share_words(own[least]), share_words(own[most])
+    samples = {name: of_problem[key] for name, of_problem in far.problems.items() if key in of_problem}
+    least, most = (end(samples, key=lambda name: samples[name].median) for end in (min, max))
+    sample, low, high = far.overall[key], share_words(samples[least]), share_words(samples[most])
     ends = f" (from {low} in {least} to {high} in {most})" if low != high else ""
     return Markup("{}{}{}").format(share_words(sample), interval_words(sample), ends)
 
@@ -214,19 +219,25 @@ def _cost_words(far: Distances, key: str) -> str:
 
 def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[Column]:
     """Return shares over the problems and what they cost; the reference points have their ends."""
-    samples = [far.overall.get(one.key) for one in rows]
-    own = [[found[one.key] for found in far.problems.values() if one.key in found] for one in rows]
-    ends = [sorted(found, key=lambda sample: sample.median) for found in own]
+    samples = [far.overall.get(controller.key) for controller in rows]
+    by_controller = [
+        [of_problem[controller.key] for of_problem in far.problems.values() if controller.key in of_problem]
+        for controller in rows
+    ]
+    ends = [sorted(shares, key=lambda sample: sample.median) for shares in by_controller]
     step, recorded, travel = (
-        [of_one.get(one.key, math.nan) for one in rows] for of_one in (far.step, far.recorded, far.travel)
+        [cost.get(controller.key, math.nan) for controller in rows]
+        for cost in (far.step, far.recorded, far.travel)
     )
     unit, factor = time_scale(step)
-    medians = [point_cell(one) or share_cell(sample) for one, sample in zip(rows, samples, strict=True)]
+    medians = [
+        point_cell(controller) or share_cell(sample) for controller, sample in zip(rows, samples, strict=True)
+    ]
     return [
         (Heading("median", "%", group=SHARE), medians),
         (Heading("interval", "%", group=SHARE), [share_interval(sample) for sample in samples]),
-        (Heading("least", "%", group=SHARE), [share_cell(found[0] if found else None) for found in ends]),
-        (Heading("most", "%", group=SHARE), [share_cell(found[-1] if found else None) for found in ends]),
+        (Heading("least", "%", group=SHARE), [share_cell(shares[0] if shares else None) for shares in ends]),
+        (Heading("most", "%", group=SHARE), [share_cell(shares[-1] if shares else None) for shares in ends]),
         (Heading(metric_name(_STEP), unit, group="cost"), number_cells([t * factor for t in step], digits=3)),
         (Heading("recording", "samples", group="cost"), number_cells(recorded)),
         (
@@ -255,7 +266,7 @@ def distance_maps(far: Distances, prefix: str) -> list[Table]:
         _map(f"{prefix}by-problem", "Which method where", far.controllers, far.problems, marked, bold),
         _map(f"{prefix}by-scenario", "Which method when", far.controllers, far.scenarios, {}, over),
     ]
-    return [one for one in maps if len(one.headings) > 2]
+    return [table for table in maps if len(table.headings) > 2]
 
 
 def _map(
@@ -266,14 +277,16 @@ def _map(
     marked: Mapping[str, Sequence[str]],
     note: str,
 ) -> Table:
-    rows = [one for one in controllers if any(one.key in found for found in columns.values())]
+    known = {key for of_column in columns.values() for key in of_column}
+    rows = [controller for controller in controllers if controller.key in known]
+    keys = [controller.key for controller in rows]
     shown = [
         (
             Heading(title),
-            [share_cell(found.get(one.key), one.key in marked.get(title, ()), star=True) for one in rows],
+            [share_cell(of_column.get(key), key in marked.get(title, ()), star=True) for key in keys],
         )
-        for title, found in columns.items()
-        if found
+        for title, of_column in columns.items()
+        if of_column
     ]
     what = f"{caption}: share of the way, %"
     return controller_table(

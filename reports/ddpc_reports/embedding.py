@@ -21,7 +21,7 @@ from markupsafe import Markup
 from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.figures.charts import CONFIG
-from ddpc_reports.figures.drawing import DrawingError, drawn, kept
+from ddpc_reports.figures.drawing import DrawingError, cached_picture, rendered
 from ddpc_reports.figures.signal import Column
 
 _WIDTH = 900
@@ -177,18 +177,18 @@ def drawing(
     samples = {name: columns for name, columns in (data or {}).items() if columns}
 
     def make() -> dict[str, Any]:
-        vega, svg = drawn(full, {name: rows_of(columns) for name, columns in samples.items()})
+        vega, svg = rendered(full, {name: rows_of(columns) for name, columns in samples.items()})
         height = _BOX.search(svg)
         svg = _finish(svg, identifier, description)
         return {"svg": svg, "height": float(height[1]) if height else 0.0, "vega": vega}
 
     key = json_of({"spec": full, "samples": samples, "of": [identifier, description]}).encode() + _SOURCE
     try:
-        found = kept(key, make)
+        picture = cached_picture(key, make)
     except DrawingError as error:
         words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
         return Drawing(Markup('<p class="static note">{}</p>').format(words))
-    return Drawing(Markup(found["svg"]), found["height"], found["vega"])
+    return Drawing(Markup(picture["svg"]), picture["height"], picture["vega"])
 
 
 def drawable(value: Any) -> Any:
@@ -287,5 +287,5 @@ def _tenths(count: int) -> str:
 def _number_ids(svg: str, identifier: str) -> str:
     """Give every drawing ids of its own, counted from one: Vega counts on from drawing to drawing."""
     names = {name: f"{identifier}-{number}" for number, name in enumerate(_ID.findall(svg), start=1)}
-    svg = _ID.sub(lambda found: f' id="{names[found[1]]}"', svg)
-    return _REFERENCE.sub(lambda found: f"url(#{names[found[1]]})", svg)
+    svg = _ID.sub(lambda match: f' id="{names[match[1]]}"', svg)
+    return _REFERENCE.sub(lambda match: f"url(#{names[match[1]]})", svg)

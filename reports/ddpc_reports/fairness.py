@@ -19,11 +19,11 @@ from ddpc_reports.verdict import Statement, counted, names
 class _Fact(NamedTuple):
     """What is said of one controller, and of several; empty: it is not known."""
 
-    of_one: str
+    of_single: str
     of_several: str
 
 
-_Telling = Callable[[ControllerResults, Trace | None], _Fact]
+_FactOf = Callable[[ControllerResults, Trace | None], _Fact]
 """What is said of a controller, given its run at the first seed, if that has any samples."""
 _NOT_KNOWN = _Fact("", "")
 _LOST = (Outcome.CRASHED, Outcome.TIMED_OUT)
@@ -34,7 +34,7 @@ _PLANT_FMU = "{plant}"
 """What a setting says in a study that is the path of a file, for the FMU that the study controls."""
 
 
-class _Said(NamedTuple):
+class _Terms(NamedTuple):
     """Sentences on a topic, and whether they say the same of all controllers."""
 
     text: Markup
@@ -56,32 +56,34 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),
         "Prior knowledge": [
-            _sentence(first, partial(_told, results), "what was told beforehand of the plant")
+            _sentence(first, partial(_prior_knowledge, results), "what was told beforehand of the plant")
         ],
         "Tuning": [_tuning(results, first)],
     }
-    said = [(topic, one) for topic, parts in topics.items() for one in parts]
-    common = Markup(" ").join(one.text for _, one in said if one.alike)
-    differing = [Statement(topic, one.text) for topic, one in said if not one.alike]
+    stated = [(topic, terms) for topic, of_topic in topics.items() for terms in of_topic]
+    common = Markup(" ").join(terms.text for _, terms in stated if terms.alike)
+    differing = [Statement(topic, terms.text) for topic, terms in stated if not terms.alike]
     return [Statement("The same for all", common), *differing] if common else differing
 
 
-def _by_scenario(conditions: Sequence[Condition], said_in: Callable[[Condition], _Said]) -> list[_Said]:
+def _by_scenario(conditions: Sequence[Condition], terms_in: Callable[[Condition], _Terms]) -> list[_Terms]:
     """Return what may differ from scenario to scenario, once for those that are alike."""
-    said: dict[_Said, list[Markup]] = {}
+    labels_by_terms: dict[_Terms, list[Markup]] = {}
     for condition in conditions:
-        said.setdefault(said_in(condition), []).append(italic(condition.label))
-    if len(said) == 1:
-        return list(said)
-    told = [(some_of(labels), one.text) for one, labels in said.items()]
-    return [_Said(Markup("In {}: {}").format(*one), alike=False) for one in told]
+        labels_by_terms.setdefault(terms_in(condition), []).append(italic(condition.label))
+    if len(labels_by_terms) == 1:
+        return list(labels_by_terms)
+    return [
+        _Terms(Markup("In {}: {}").format(some_of(labels), terms.text), alike=False)
+        for terms, labels in labels_by_terms.items()
+    ]
 
 
-def _preview(condition: Condition) -> _Said:
+def _preview(condition: Condition) -> _Terms:
     return _sentence(condition, _seen, "how far ahead the reference was seen")
 
 
-def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
+def _seen(controller: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.preview:
@@ -93,7 +95,7 @@ def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"sees {what}", f"see {what}")
 
 
-def _measurements(first: Condition) -> _Said:
+def _measurements(first: Condition) -> _Terms:
     handed = Markup("")
     for trace in first.first_traces.values():
         signals = join_words([clipped(variable.name) for variable in trace.measurements])
@@ -102,19 +104,19 @@ def _measurements(first: Condition) -> _Said:
     return used._replace(text=handed + used.text)
 
 
-def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
-    told = trace.knowledge.get("measures", "") if trace else ""
-    return _Fact(f"uses {told}", f"use {told}") if told else _NOT_KNOWN
+def _used(controller: ControllerResults, trace: Trace | None) -> _Fact:
+    measures = trace.knowledge.get("measures", "") if trace else ""
+    return _Fact(f"uses {measures}", f"use {measures}") if measures else _NOT_KNOWN
 
 
-def _limits(first: Condition) -> _Said:
+def _limits(first: Condition) -> _Terms:
     traces = list(first.first_traces.values())
     if not traces:
-        return _Said(Markup("No run tells the limits."), alike=False)
+        return _Terms(Markup("No run tells the limits."), alike=False)
 
-    def limits(signal: int, one: ControllerResults, trace: Trace | None) -> _Fact:
-        told = limits_texts(trace)[signal] if trace else ""
-        return _Fact(f"has {told}", f"have {told}") if told else _NOT_KNOWN
+    def limits(signal: int, controller: ControllerResults, trace: Trace | None) -> _Fact:
+        words = limits_texts(trace)[signal] if trace else ""
+        return _Fact(f"has {words}", f"have {words}") if words else _NOT_KNOWN
 
     signals = [variable.name for variable in (*traces[0].inputs, *traces[0].outputs)]
     differing = [
@@ -125,11 +127,11 @@ def _limits(first: Condition) -> _Said:
         if len({limits_texts(trace)[i] for trace in traces}) > 1
     ]
     if differing:
-        return _Said(Markup(" ").join(differing), alike=False)
-    return _Said(Markup("The limits of inputs and outputs are the same."), alike=True)
+        return _Terms(Markup(" ").join(differing), alike=False)
+    return _Terms(Markup("The limits of inputs and outputs are the same."), alike=True)
 
 
-def _recording(condition: Condition) -> _Said:
+def _recording(condition: Condition) -> _Terms:
     study = condition.results.study
     said = _sentence(condition, _learned, "whether a recording was learned from")
     if study.recording is None:
@@ -146,7 +148,7 @@ def _recording(condition: Condition) -> _Said:
     return said._replace(text=text)
 
 
-def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
+def _learned(controller: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.recorded_samples:
@@ -157,39 +159,43 @@ def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"learns {what}", f"learn {what}")
 
 
-def told_of_plant(results: StudyResults, one: ControllerResults, trace: Trace | None) -> str:
+def knowledge_of_plant(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> str:
     """Return what a controller was told of the plant beforehand; empty where that is not known."""
-    told = without_folders(trace.knowledge.get("plant", "")) if trace else ""
-    section = results.study.controllers.get(one.key)
+    knowledge = without_folders(trace.knowledge.get("plant", "")) if trace else ""
+    section = results.study.controllers.get(controller.key)
     if section is not None and _PLANT_FMU in _values(section.settings):
-        told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
-    return told
+        knowledge = f"{knowledge or 'something not known'}; its settings name the FMU of the plant itself"
+    return knowledge
 
 
-def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
-    told = told_of_plant(results, one, trace)
-    if not told:
+def _prior_knowledge(results: StudyResults, controller: ControllerResults, trace: Trace | None) -> _Fact:
+    knowledge = knowledge_of_plant(results, controller, trace)
+    if not knowledge:
         return _NOT_KNOWN
-    if told == "nothing":
+    if knowledge == "nothing":
         return _Fact("was told nothing of the plant beforehand", "were told nothing of the plant beforehand")
-    return _Fact(f"was told beforehand of the plant: {told}", f"were told beforehand of the plant: {told}")
+    what = f"told beforehand of the plant: {knowledge}"
+    return _Fact(f"was {what}", f"were {what}")
 
 
-def _tuning(results: StudyResults, first: Condition) -> _Said:
+def _tuning(results: StudyResults, first: Condition) -> _Terms:
     """Say how the settings were found; which ones stands with the settings of the controllers."""
     sections = results.study.controllers
-    tables = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.contenders}
+    tables = {
+        controller.key: sections[controller.key].tuned if controller.key in sections else None
+        for controller in first.contenders
+    }
 
-    def found(one: ControllerResults, trace: Trace | None) -> _Fact:
-        if not (table := tables.get(one.key)):
+    def tuned_how(controller: ControllerResults, trace: Trace | None) -> _Fact:
+        if not (table := tables.get(controller.key)):
             return _NOT_KNOWN
-        how = _tuned_words(table, [case.seed for case in one.cases])
+        how = _tuned_words(table, [case.seed for case in controller.cases])
         return _Fact(f"has settings {how}", f"have settings {how}")
 
     if not first.contenders:
-        return _Said(Markup(""), alike=True)
+        return _Terms(Markup(""), alike=True)
     some = first.contenders if len(first.contenders) < len(first.controllers) else ()
-    said = _sentence(first, found, "how settings were found", some)
+    said = _sentence(first, tuned_how, "how settings were found", some)
     if len({table.trials if table else 0 for table in tables.values()}) > 1:
         said = said._replace(text=said.text + " So the effort spent on tuning is not known to be equal.")
     return said
@@ -207,13 +213,14 @@ def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
 
 
 def _sentence(
-    condition: Condition, telling: _Telling, what: str, everyone: Sequence[ControllerResults] = ()
-) -> _Said:
+    condition: Condition, fact_of: _FactOf, what: str, everyone: Sequence[ControllerResults] = ()
+) -> _Terms:
     """Say a fact of every controller, or of some: the same of several together, of most as of all others."""
     whom, rest = (everyone, " that compete") if everyone else (condition.controllers, "")
     groups: dict[_Fact, list[ControllerResults]] = {}
-    for one in whom:
-        groups.setdefault(telling(one, condition.first_traces.get(one.key)), []).append(one)
+    for controller in whom:
+        fact = fact_of(controller, condition.first_traces.get(controller.key))
+        groups.setdefault(fact, []).append(controller)
     if _NOT_KNOWN in groups:
         groups[_NOT_KNOWN] = groups.pop(_NOT_KNOWN)
     most = max(groups, key=lambda fact: len(groups[fact]))
@@ -226,12 +233,12 @@ def _sentence(
             who = Markup("all controllers")
         elif many and fact is most:
             who = Markup(f"all others{rest}")
-        said = fact.of_several if len(members) > 1 else fact.of_one
+        said = fact.of_several if len(members) > 1 else fact.of_single
         unknown = Markup("of {} it is not known {}").format(who, what)
         parts.append(unknown if fact == _NOT_KNOWN else Markup("{} {}").format(who, said))
     text = Markup("; ").join(parts)
     # What is not known of anybody may differ all the same.
-    return _Said(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1 and most != _NOT_KNOWN)
+    return _Terms(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1 and most != _NOT_KNOWN)
 
 
 def _values(settings: object) -> Iterator[object]:

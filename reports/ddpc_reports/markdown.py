@@ -28,9 +28,10 @@ def markdown(results: Sequence[StudyResults]) -> str:
     ValueError
         There are no results at all.
     """
-    found = gather(results)
+    gathered = gather(results)
     return (
-        "\n".join([f"# {_text(found.title)}", *(line for part in found.parts for line in _part(part))]) + "\n"
+        "\n".join([f"# {_text(gathered.title)}", *(line for part in gathered.parts for line in _part(part))])
+        + "\n"
     )
 
 
@@ -60,7 +61,7 @@ def _blocks(blocks: Sequence[tuple[str, Any]]) -> Iterator[str]:
         elif kind == "condition":
             yield f"#### {_text(content)}"
         elif kind == "statements":
-            yield from (f"- **{_text(one.topic)}**: {_text(one.text)}" for one in content)
+            yield from (f"- **{_text(statement.topic)}**: {_text(statement.text)}" for statement in content)
         elif kind == "notes":
             yield from (f"- {_line(note)}" for note in content)
         else:

@@ -30,8 +30,8 @@ def render_page(results: Sequence[StudyResults]) -> str:
     ValueError
         There are no results at all.
     """
-    found = gather(results)
-    return set_page(found.parts, found.data, found.title)
+    gathered = gather(results)
+    return set_page(gathered.parts, gathered.data, gathered.title)
 
 
 def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "") -> str:
@@ -76,7 +76,11 @@ def _shown(value: Any) -> Any:
 
 def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> dict[str, Any]:
     """Return what the script draws from: samples once, and of each chart its specification and its names."""
-    parts = [blocks for study in studies for blocks in (study.first, *(one.blocks for one in study.sections))]
+    parts = [
+        blocks
+        for study in studies
+        for blocks in (study.first, *(section.blocks for section in study.sections))
+    ]
     views = {}
     for figure, group in (content for blocks in parts for kind, content in blocks if kind == "figure"):
         labels = {entry.name: entry.label for entry in figure.legend}

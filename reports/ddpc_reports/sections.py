@@ -150,19 +150,19 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
     data: dict[str, dict[str, Packed]] = {}
     parts: list[StudyPart] = []
     with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-        for one in results:
-            problems = one.problems()
+        for study_results in results:
+            problems = study_results.problems()
             seen = [conditions(part) for part in problems]
             drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
             spread = drawn if len(problems) > 1 else detailed
             sketched = {*drawn, *_first(seen, _MOST_SKETCHED)}
-            every_case = len(problems) == 1 or len(one.cases) <= _MOST_CASES
+            every_case = len(problems) == 1 or len(study_results.cases) <= _MOST_CASES
             budget = _PageBudget(drawn, sketched, spread, detailed, every_case)
             number = len(parts) + 1
             if len(problems) > 1:
-                parts.append(_overall_part(one, problems, seen, number, budget))
+                parts.append(_overall_part(study_results, problems, seen, number, budget))
             for part, of_part in zip(problems, seen, strict=True):
-                variants = one.variants(part.study.name)
+                variants = study_results.variants(part.study.name)
                 alone = len(problems) == 1
                 parts.append(_study_part(part, of_part, len(parts) + 1, data, budget, variants, alone=alone))
     head = results[0].whole.head
@@ -198,18 +198,21 @@ class _PageBudget(NamedTuple):
             "tables of their own": self.detailed,
         }
         missing = {
-            what: tuple(one.label for one in seen if one not in shown) for what, shown in kinds.items()
+            what: tuple(condition.label for condition in seen if condition not in shown)
+            for what, shown in kinds.items()
         }
-        found = [
+        sentences = [
             f"To keep the page small, these scenarios have no {what}: {'; '.join(labels)}."
             for what, labels in missing.items()
             if labels
         ]
-        if found and len(missing["figures of errors and control signals"]) == len(seen):
-            found.append("With run --only and the name of a problem, a report has room for all of this.")
+        if sentences and len(missing["figures of errors and control signals"]) == len(seen):
+            sentences.append("With run --only and the name of a problem, a report has room for all of this.")
         if seen and seen[0] not in self.detailed:
-            found.append("Every setting of every controller, defaults filled in, is in study.toml.")
-        return found if self.cases else [*found, "The cases are too many for a table: see metrics.csv."]
+            sentences.append("Every setting of every controller, defaults filled in, is in study.toml.")
+        if not self.cases:
+            sentences.append("The cases are too many for a table: see metrics.csv.")
+        return sentences
 
 
 def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | None = None) -> list[Condition]:
@@ -220,7 +223,7 @@ def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | Non
     chosen: list[Condition] = []
     for of_place in islice(zip_longest(*problems), places):
         level = [condition for condition in of_place if condition]
-        full = sum(len(one.controllers) for one in [*chosen, *level]) > most
+        full = sum(len(condition.controllers) for condition in [*chosen, *level]) > most
         if full and (chosen or len(problems) > 1):
             break
         chosen += level
@@ -236,22 +239,22 @@ def _overall_part(
 ) -> StudyPart:
     """Return what is to be said over all problems of a study."""
     prefix, head = f"s{number}-", results.whole.head
-    found = in_its_place("Ranks", lambda: overall(problems))
+    comparison = in_its_place("Ranks", lambda: overall(problems))
     answered, first, sections = Markup(""), list[Block](), list[Section]()
-    if isinstance(found, Overall):
+    if isinstance(comparison, Overall):
         places = [
             place
             for i, (part, of_part) in enumerate(zip(problems, seen, strict=True), start=number + 1)
             for place in _places(part, of_part, f"s{i}-", budget)
         ]
-        answered = overall_answer(found)
-        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(found, places, prefix)))
+        answered = overall_answer(comparison)
+        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(comparison, places, prefix)))
         what = "Performance profile and critical differences"
-        blocks = partial(_overall_blocks, found, prefix)
+        blocks = partial(_overall_blocks, comparison, prefix)
         sections = [Section("problems", what, _in_their_place(what, blocks))]
     else:
         few = "Fewer than two problems have controllers in common that do not all fail."
-        first = [("notes", [found or few])]
+        first = [("notes", [comparison or few])]
     how = "How to reproduce"
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
     sections.append(Section("provenance", how, made, folded=True))
@@ -264,20 +267,20 @@ def _overall_part(
     )
 
 
-def _overall_blocks(found: Overall, prefix: str) -> list[Block]:
-    maps = distance_maps(found.distances, prefix) if found.distances else []
+def _overall_blocks(comparison: Overall, prefix: str) -> list[Block]:
+    maps = distance_maps(comparison.distances, prefix) if comparison.distances else []
     return [
-        *_figures(overall_figures(found, prefix), prefix),
-        *_statements(overall_statements(found)),
-        *_tables(overall_table(found, prefix), *maps),
+        *_figures(overall_figures(comparison, prefix), prefix),
+        *_statements(overall_statements(comparison)),
+        *_tables(overall_table(comparison, prefix), *maps),
     ]
 
 
-def _overall_matrix(found: Overall, places: Sequence[Place], prefix: str) -> Table:
-    members = {one.key: one for place in places for one in place.condition.controllers}
-    order = [*found.controllers, *(key for key in members if key not in found.controllers)]
+def _overall_matrix(comparison: Overall, places: Sequence[Place], prefix: str) -> Table:
+    members = {controller.key: controller for place in places for controller in place.condition.controllers}
+    order = [*comparison.controllers, *(key for key in members if key not in comparison.controllers)]
     rows = [members[key] for key in order if key in members]
-    return matrix_table(places, rows, first_columns(found, rows), [RANKS_NOTE], prefix)
+    return matrix_table(places, rows, first_columns(comparison, rows), [RANKS_NOTE], prefix)
 
 
 def _places(
@@ -286,9 +289,13 @@ def _places(
     """Return the scenarios of a problem, each with where the page has its figures, or its problem's part."""
     title = clipped(results.study.title or results.study.name, _LONGEST_TITLE)
     return [
-        Place(title, one, f"#{prefix}{number}-responses" if one in budget.sketched else f"#{prefix}study")
-        for number, one in enumerate(seen, start=1)
-        if one.controllers
+        Place(
+            title,
+            condition,
+            f"#{prefix}{number}-responses" if condition in budget.sketched else f"#{prefix}study",
+        )
+        for number, condition in enumerate(seen, start=1)
+        if condition.controllers
     ]
 
 
@@ -322,15 +329,15 @@ class _Part:
         shown: Collection[Condition] | None = None,
     ) -> list[Block]:
         """Return the blocks of every condition that has any, below its label where there are several."""
-        found: list[Block] = []
+        collected: list[Block] = []
         shown = self.budget.detailed if shown is None else shown
         for place, condition in enumerate(self.seen, start=1):
             if condition not in shown:
                 continue
             if blocks := _in_their_place(what, partial(blocks_of, condition, f"{self.prefix}{place}-")):
-                found += [("condition", condition.label)] if len(self.seen) > 1 else []
-                found += blocks
-        return found
+                collected += [("condition", condition.label)] if len(self.seen) > 1 else []
+                collected += blocks
+        return collected
 
     def over_time(self, kind: Kind, condition: Condition, place: str) -> list[Block]:
         """Return the figures over time of a kind; they are made together, and their samples kept."""
@@ -338,21 +345,21 @@ class _Part:
             return []
         if place not in self._over_time:
             sketched = condition not in self.budget.drawn
-            drawn = self._over_time[place] = time_figures(condition, place, sketched=sketched)
-            for name, columns in drawn.samples.items():
+            figures = self._over_time[place] = time_figures(condition, place, sketched=sketched)
+            for name, columns in figures.samples.items():
                 self.data[name] = {key: pack(column) for key, column in columns.items()}
         return _figures(self._over_time[place].figures[kind], place)
 
     def table(self) -> list[Block]:
         """Return the table of the first screen: of one scenario its ranking, of several a matrix."""
-        shown = [one for one in self.seen if one.controllers]
+        shown = [condition for condition in self.seen if condition.controllers]
         if len(shown) == 1:
             return _tables(ranking_table(shown[0], self.standings, self.prefix))
         if not shown:
             return []
-        members = {one.key: one for condition in shown for one in condition.controllers}
+        members = {controller.key: controller for condition in shown for controller in condition.controllers}
         order = in_order([*members.values()], self.standings)
-        labels = {one.scenario: one.label for one in self.seen}
+        labels = {condition.scenario: condition.label for condition in self.seen}
         return _tables(
             matrix_table(
                 _places(self.results, self.seen, self.prefix, self.budget),
@@ -373,9 +380,11 @@ class _Part:
         ]
 
     def _swept(self) -> list[Block]:
-        places = [(one, f"{self.prefix}{i}-") for i, one in enumerate(self.seen, start=1)]
+        places = [(condition, f"{self.prefix}{i}-") for i, condition in enumerate(self.seen, start=1)]
         worth = [worth_table(*place) for place in places]
-        return _tables(*worth, *(variants_table(one, self.variants, place) for one, place in places[:1]))
+        return _tables(
+            *worth, *(variants_table(condition, self.variants, place) for condition, place in places[:1])
+        )
 
     def _tuned(self) -> list[Block]:
         fronts = _figures(front_figures(self.results, self.prefix), self.prefix)
@@ -384,9 +393,9 @@ class _Part:
     def sections(self) -> list[Section]:
         """Return the sections in their order, those without anything to show left out."""
         parts: list[tuple[str, str, Callable[[str], list[Block]]]] = [
-            ("responses", "Responses", self._drawn("responses")),
-            ("errors", "Errors", self._drawn("errors")),
-            ("control", "Control signals", self._drawn("inputs")),
+            ("responses", "Responses", self._figures_over_time("responses")),
+            ("errors", "Errors", self._figures_over_time("errors")),
+            ("control", "Control signals", self._figures_over_time("inputs")),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
@@ -400,11 +409,12 @@ class _Part:
             ("cases", "Every case", lambda _: self._cases()),
             ("provenance", "How to reproduce", lambda _: self._how_to_reproduce()),
         ]
-        for name, own in own_sections().items():
+        for name, report_section in own_sections().items():
             titles = [title for _, title, _ in parts]
-            place = titles.index(own.after) + 1 if own.after in titles else titles.index(_LAST)
+            after = report_section.after
+            place = titles.index(after) + 1 if after in titles else titles.index(_LAST)
             anchor = f"own-{slug(name)}"
-            parts.insert(place, (anchor, str(own.title), self._own(own, anchor)))
+            parts.insert(place, (anchor, str(report_section.title), self._own(report_section, anchor)))
         made = [
             Section(anchor, title, _in_their_place(title, partial(blocks_of, title)), anchor in _FOLDED)
             for anchor, title, blocks_of in parts
@@ -415,10 +425,10 @@ class _Part:
         """Return what was run; of one of several problems that stands with what is said over all of them."""
         return _tables(*reproduce_tables(self.results, self.prefix)) if self.alone else []
 
-    def _own(self, own: ReportSection, anchor: str) -> Callable[[str], list[Block]]:
-        return lambda _: own_blocks(own, self.results, f"{self.prefix}{anchor}-")
+    def _own(self, report_section: ReportSection, anchor: str) -> Callable[[str], list[Block]]:
+        return lambda _: own_blocks(report_section, self.results, f"{self.prefix}{anchor}-")
 
-    def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
+    def _figures_over_time(self, kind: Kind) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, partial(self.over_time, kind), self.budget.sketched)
 
     def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:
@@ -457,12 +467,12 @@ class _Part:
 
     def _failures(self, title: str) -> list[Block]:
         return [
-            *self.each(title, lambda one, _: _statements(findings(one, "failures"))),
+            *self.each(title, lambda condition, _: _statements(findings(condition, "failures"))),
             *_tables(failures_table(self.results, self.prefix)),
         ]
 
     def _diagnostics(self) -> list[Block]:
-        detailed = [one for one in self.seen if one in self.budget.detailed]
+        detailed = [condition for condition in self.seen if condition in self.budget.detailed]
         return _tables(*diagnostics_tables(detailed, self.prefix))
 
     def _fairness(self) -> list[Block]:
@@ -501,19 +511,19 @@ def _study_part(
     prefix = f"s{number}-"
     part = _Part(results, seen, prefix, data, budget, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.findings))
-    told = part.findings.remarks
+    remarks = part.findings.remarks
     return StudyPart(
         prefix,
         number,
         results.study.title or results.study.name,
-        [one.text for one in told if one.is_failure],
+        [remark.text for remark in remarks if remark.is_failure],
         _facts(results),
         said if isinstance(said, Markup) else Markup.escape(said),
         [*_damaged_blocks(results), *part.first()],
         part.sections(),
         results.study.summary.strip(),
         results.study.source,
-        [one.text for one in told if not one.is_failure],
+        [remark.text for remark in remarks if not remark.is_failure],
     )
 
 
@@ -607,5 +617,5 @@ def _controllers_words(results: StudyResults) -> str:
     names = {case.controller for case in results.cases}
     varied = {name for name in names if name in sections and sections[name].variant_of}
     settings = f"{len(varied)} {'setting' if len(varied) == 1 else 'settings'} in sweeps"
-    own = str(len(names - varied))
-    return f"{own}, and {settings}" if varied and names - varied else settings if varied else own
+    unvaried = str(len(names - varied))
+    return f"{unvaried}, and {settings}" if varied and names - varied else settings if varied else unvaried

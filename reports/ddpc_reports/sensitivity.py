@@ -63,9 +63,9 @@ class Sweep:
         telling = (key for key in value if len(self._entries(setting, key)) > 1)
         return ", ".join(f"{key} {as_given(value[key])}" for key in telling)
 
-    def place(self, one: ControllerResults) -> str:
+    def place(self, variant: ControllerResults) -> str:
         """Return the settings of a variant in words."""
-        return ", ".join(f"{name} = {self.words(one.key, name)}" for name in self.settings)
+        return ", ".join(f"{name} = {self.words(variant.key, name)}" for name in self.settings)
 
     def value(self, controller: str, setting: str) -> Any:
         """Return a controller's value of a setting; None where it has none of its own."""
@@ -73,24 +73,25 @@ class Sweep:
         return section.settings.get(setting) if section else None
 
     def _entries(self, setting: str, key: str) -> set[str]:
-        values = [self.value(one.key, setting) for one in self.variants]
+        values = [self.value(variant.key, setting) for variant in self.variants]
         return {repr(value.get(key)) for value in values if isinstance(value, dict)}
 
     @cached_property
     def cells(self) -> dict[tuple[str, ...], list[ControllerResults]]:
         """The variants by the values that are drawn, in the study's order."""
         table: dict[tuple[str, ...], list[ControllerResults]] = {}
-        for one in self.variants:
-            table.setdefault(tuple(self.words(one.key, setting) for setting in self.axes), []).append(one)
+        for variant in self.variants:
+            cell = tuple(self.words(variant.key, setting) for setting in self.axes)
+            table.setdefault(cell, []).append(variant)
         return table
 
 
 def sweeps(condition: Condition) -> list[Sweep]:
     """Return the sweeps of a condition, in the study's order."""
     groups: dict[tuple[str, tuple[str, ...]], list[ControllerResults]] = {}
-    for one in condition.variants:
-        section = condition.results.study.controllers[one.key]
-        groups.setdefault((section.variant_of, tuple(section.varied)), []).append(one)
+    for variant in condition.variants:
+        section = condition.results.study.controllers[variant.key]
+        groups.setdefault((section.variant_of, tuple(section.varied)), []).append(variant)
     return [Sweep(condition, base, settings, tuple(group)) for (base, settings), group in groups.items()]
 
 
@@ -108,13 +109,13 @@ def sweep_statements(condition: Condition) -> list[Statement]:
 
 def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     """Say what the best and the worst settings of all sweeps of one controller give."""
-    members = [(sweep, one) for sweep in group for one in sweep.variants]
-    failing = [sweep.place(one) for sweep, one in members if one.failed]
+    members = [(sweep, variant) for sweep in group for variant in sweep.variants]
+    failing = [sweep.place(variant) for sweep, variant in members if variant.failed]
     order = sorted(
         (
-            (value, sweep, one)
-            for sweep, one in members
-            if not one.failed and not math.isnan(value := _median([one], key))
+            (value, sweep, variant)
+            for sweep, variant in members
+            if not variant.failed and not math.isnan(value := _median([variant], key))
         ),
         key=lambda entry: metric_of(key).rank(entry[0]),
     )
@@ -129,9 +130,13 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     text += Markup(": best {} with {}, {} {} with {}").format(
         show(low), best.place(winner), worst_of, show(high), worst.place(loser)
     )
-    own = [one.over_seeds(key).median for one in condition.controllers if one.key == group[0].base]
-    if own and not math.isnan(own[0]):
-        text += Markup("; its own settings give {}").format(show(own[0]))
+    of_base = [
+        controller.over_seeds(key).median
+        for controller in condition.controllers
+        if controller.key == group[0].base
+    ]
+    if of_base and not math.isnan(of_base[0]):
+        text += Markup("; its own settings give {}").format(show(of_base[0]))
     if not failing:
         return text + "."
     more = f"; and {len(failing) - _FAILING_SHOWN} more" if failing[_FAILING_SHOWN:] else ""
@@ -171,19 +176,19 @@ def worth_table(condition: Condition, prefix: str) -> Table | None:
 
 
 def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | None:
-    members = [(sweep, one) for sweep in group for one in sweep.variants]
-    sound = [(sweep, one) for sweep, one in members if not one.failed and one.by_seed(key)]
+    members = [(sweep, variant) for sweep in group for variant in sweep.variants]
+    sound = [(sweep, variant) for sweep, variant in members if not variant.failed and variant.by_seed(key)]
     if not sound:
         return None
     sound.sort(key=lambda entry: metric_of(key).rank(_median([entry[1]], key)))
     (best_sweep, best), (_, worst) = sound[0], sound[-1]
-    base = [one for one in condition.controllers if one.key == group[0].base]
+    base = [controller for controller in condition.controllers if controller.key == group[0].base]
     values = [_median(base, key), _median([best], key), _median([worst], key)]
-    own, least, most = number_cells(values)
+    of_base, least, most = number_cells(values)
     change = 100 * (values[1] / values[0] - 1) if values[0] > 0 else math.nan
     edges = ", ".join(_edges(best_sweep, best, base)) or "no"
     cells = (
-        own,
+        of_base,
         replace(least, best=not values[0] <= values[1]),
         most,
         Cell(percent(change / 100), change),
@@ -196,10 +201,10 @@ def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | 
     return Row(group[0].label, cells, group[0].base, index, title)
 
 
-def _edges(sweep: Sweep, best: ControllerResults, own: Sequence[ControllerResults]) -> Iterator[str]:
+def _edges(sweep: Sweep, best: ControllerResults, base: Sequence[ControllerResults]) -> Iterator[str]:
     """Yield the settings of which the best value is the smallest or the largest that was tried."""
     for setting in sweep.settings:
-        given = [sweep.value(one.key, setting) for one in (*sweep.variants, *own)]
+        given = [sweep.value(controller.key, setting) for controller in (*sweep.variants, *base)]
         numbers = {value for value in given if isinstance(value, int | float) and not isinstance(value, bool)}
         value = sweep.value(best.key, setting)
         if len(numbers) > 1 and value in (min(numbers), max(numbers)):
@@ -237,15 +242,15 @@ def effects_table(condition: Condition, prefix: str) -> Table | None:
 
 
 def _effect_cells(sweep: Sweep, setting: str, key: str) -> tuple[Cell, ...]:
-    runs = [(one, value) for one in sweep.variants for value in one.runs(key).values()]
-    settings = [sweep.value(one.key, setting) for one, _ in runs]
-    found = setting_effect(settings, np.array([value for _, value in runs]), metric_of(key).better)
-    failed = found.runs - found.known
+    runs = [(variant, value) for variant in sweep.variants for value in variant.runs(key).values()]
+    settings = [sweep.value(variant.key, setting) for variant, _ in runs]
+    effect = setting_effect(settings, np.array([value for _, value in runs]), metric_of(key).better)
+    failed = effect.runs - effect.known
     return (
-        Cell(str(found.levels), found.levels),
-        Cell(f"{failed} of {found.runs}", failed, failed=failed > 0),
-        Cell(significant(found.correlation, 2), found.correlation),
-        Cell(significant(100 * found.share, 2), 100 * found.share),
+        Cell(str(effect.levels), effect.levels),
+        Cell(f"{failed} of {effect.runs}", failed, failed=failed > 0),
+        Cell(significant(effect.correlation, 2), effect.correlation),
+        Cell(significant(100 * effect.share, 2), 100 * effect.share),
     )
 
 
@@ -282,7 +287,7 @@ def _summed_words(sweep: Sweep) -> str:
 
 
 def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
-    own = tuple(sweep.words(sweep.base, setting) for setting in sweep.axes)
+    own_place = tuple(sweep.words(sweep.base, setting) for setting in sweep.axes)
     texts = list(dict.fromkeys(text for place in sweep.cells for text in place))
     short = {text: clipped(text) for text in texts}
     if len(set(short.values())) < len(short):  # cells have to stay apart
@@ -290,7 +295,7 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
     for place, members in sweep.cells.items():
         value = _median(members, key)
         shown = significant(value) if math.isfinite(value) else "failed"
-        told = with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown
+        words = with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown
         failed = _failed_words(members) if math.isfinite(value) else ""
         given = zip(sweep.axes, (short[text] for text in place), strict=True)
         where = ", ".join(f"{name} = {value}" for name, value in given)
@@ -299,44 +304,46 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
             "x": short[place[-1]],
             "value": value if math.isfinite(value) else None,
             "shown": f"{shown} *" if failed else shown,
-            "own": place == own,
-            "text": f"{where}: {told}{failed}",
+            "own": place == own_place,
+            "text": f"{where}: {words}{failed}",
         }
 
 
 def _failed_words(members: Sequence[ControllerResults]) -> str:
     """Say how many cases of a cell failed; nothing if none did."""
-    cases = sum(len(one.cases) for one in members)
-    failed = sum(one.failed for one in members)
+    cases = sum(len(member.cases) for member in members)
+    failed = sum(member.failed for member in members)
     return f"; {failed} of {cases} cases failed" if failed else ""
 
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:
-    return summed_up(case.metrics.get(key, math.nan) for one in members for case in one.succeeded).median
+    values = (case.metrics.get(key, math.nan) for member in members for case in member.succeeded)
+    return summed_up(values).median
 
 
 def variants_table(condition: Condition, variants: Sequence[StudyResults], prefix: str) -> Table | None:
     """Return what a study by its own sweep comes to: a row per variant, a column per controller."""
     key = next(iter(condition.headline), "")
     seen = [
-        (results.study.varied, {one.key: one for one in other.controllers})
+        (results.study.varied, other.by_key)
         for results in variants
         for other in conditions(results)
         if other.scenario == condition.scenario
     ]
     if not seen or not key:
         return None
-    rows = [("as it is", {one.key: one for one in condition.controllers})]
+    rows = [("as it is", condition.by_key)]
     rows += [(variant_words(varied), members) for varied, members in seen]
     columns = [
-        _variant_cells([members.get(one.key) for _, members in rows], key) for one in condition.controllers
+        _variant_cells([members.get(controller.key) for _, members in rows], key)
+        for controller in condition.controllers
     ]
     return Table(
         f"{prefix}sweep",
         f"Variants of the study: {metric_words(key)}",
         (
             Heading("Variant", numeric=False),
-            *(Heading(one.label, metric_unit(key)) for one in condition.controllers),
+            *(Heading(controller.label, metric_unit(key)) for controller in condition.controllers),
         ),
         tuple(Row(words, tuple(column[i] for column in columns)) for i, (words, _) in enumerate(rows)),
         ("Medians over the seeds; in brackets how many runs failed, where any did.",),
@@ -346,10 +353,10 @@ def variants_table(condition: Condition, variants: Sequence[StudyResults], prefi
 
 
 def _variant_cells(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
-    cells = number_cells([one.summed(key) if one else math.nan for one in members])
+    cells = number_cells([member.summed(key) if member else math.nan for member in members])
     return [
         cell
-        if one is None or not one.failed
-        else replace(cell, text=f"{cell.text} ({one.failed} of {len(one.cases)} failed)")
-        for cell, one in zip(cells, members, strict=True)
+        if member is None or not member.failed
+        else replace(cell, text=f"{cell.text} ({member.failed} of {len(member.cases)} failed)")
+        for cell, member in zip(cells, members, strict=True)
     ]

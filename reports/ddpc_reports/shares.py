@@ -38,55 +38,57 @@ def share_percent(share: float) -> str:
     return "> 200" if share > _HIGHEST else fixed(100 * share, 0)
 
 
-def failed_mostly(found: Sample) -> bool:
+def failed_mostly(sample: Sample) -> bool:
     """Whether at least half of what is summed up failed."""
-    return 2 * found.known <= found.runs
+    return 2 * sample.known <= sample.runs
 
 
-def share_words(found: Sample) -> str:
+def share_words(sample: Sample) -> str:
     """Write the median of shares, or that at least half of the runs failed."""
-    return "failed" if failed_mostly(found) else f"{share_percent(found.median)}\u00a0%"
+    return "failed" if failed_mostly(sample) else f"{share_percent(sample.median)}\u00a0%"
 
 
-def interval_words(found: Sample) -> str:
+def interval_words(sample: Sample) -> str:
     """Write the 95 % interval of the median in brackets; nothing without one."""
-    known = not (math.isnan(found.low) or found.low == found.high)
-    return f" [{share_percent(found.low)} … {share_percent(found.high)}]" if known else ""
+    known = not (math.isnan(sample.low) or sample.low == sample.high)
+    return f" [{share_percent(sample.low)} … {share_percent(sample.high)}]" if known else ""
 
 
-def share_cell(found: Sample | None, best: bool = False, *, star: bool = False) -> Cell:
+def share_cell(sample: Sample | None, best: bool = False, *, star: bool = False) -> Cell:
     """Return the median of shares as a cell, tinted by how large it is; a star says that some failed."""
-    if found is None or math.isnan(found.median):
+    if sample is None or math.isnan(sample.median):
         return Cell(MISSING)
     text = (
         "failed"
-        if failed_mostly(found)
-        else share_percent(found.median) + "*" * (star and found.known < found.runs)
+        if failed_mostly(sample)
+        else share_percent(sample.median) + "*" * (star and sample.known < sample.runs)
     )
-    tone = 0 if failed_mostly(found) else sum(found.median >= one for one in _TONES)
-    return Cell(text, found.median, best=best, tone=f"share-{tone}")
+    tone = 0 if failed_mostly(sample) else sum(sample.median >= limit for limit in _TONES)
+    return Cell(text, sample.median, best=best, tone=f"share-{tone}")
 
 
-def share_interval(found: Sample | None) -> Cell:
+def share_interval(sample: Sample | None) -> Cell:
     """Return the 95 % interval of the median of shares as a cell."""
-    if found is None or math.isnan(found.low):
+    if sample is None or math.isnan(sample.low):
         return Cell(MISSING)
-    low, high = share_percent(found.low), share_percent(found.high)
-    return Cell(low if low == high else f"{low} … {high}", f"{found.low!r} … {found.high!r}")
+    low, high = share_percent(sample.low), share_percent(sample.high)
+    return Cell(low if low == high else f"{low} … {high}", f"{sample.low!r} … {sample.high!r}")
 
 
-def point_cell(one: ControllerResults) -> Cell | None:
+def point_cell(controller: ControllerResults) -> Cell | None:
     """Return the end of the scale at which a reference point is; None of another controller."""
-    return Cell(f"{100 * one.end:.0f}", tone="point") if one.end is not None else None
+    return Cell(f"{100 * controller.end:.0f}", tone="point") if controller.end is not None else None
 
 
 def share_cells(
     condition: Condition, controllers: Sequence[ControllerResults | None], key: str
 ) -> list[Cell]:
     """Return a column of shares; a reference point has its own end of the scale."""
-    found = condition.shares(key)
+    shares = condition.shares(key)
     return [
-        (one and point_cell(one)) or share_cell(found.get(one.key) if one else None) for one in controllers
+        (controller and point_cell(controller))
+        or share_cell(shares.get(controller.key) if controller else None)
+        for controller in controllers
     ]
 
 
@@ -106,7 +108,7 @@ def share_statements(condition: Condition) -> list[Statement]:
     """Say how far the controllers come on the way between the reference points; nothing without any."""
     if not condition.points:
         return []
-    ends = {one.key: one for one in condition.controllers if one.is_point}
+    ends = {controller.key: controller for controller in condition.controllers if controller.is_point}
     missing = [name for name in (condition.points.zero, condition.points.full) if name not in ends]
     if missing:
         return [
@@ -124,8 +126,8 @@ def share_statements(condition: Condition) -> list[Statement]:
 
 
 def _in_words(condition: Condition, key: str, zero: ControllerResults, full: ControllerResults) -> Markup:
-    found, by_key = condition.shares(key), {one.key: one for one in condition.contenders}
-    if not found:
+    shares, by_key = condition.shares(key), condition.by_key
+    if not shares:
         why = (
             f"{zero.label} did not complete"
             if not zero.completed
@@ -137,16 +139,16 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
             f"{100 * NEGLIGIBLE:.0f}\u00a0% on any seed"
         )
         return Markup("there is no way to go: {}.").format(why)
-    order = sorted(found, key=lambda name: -found[name].median)
-    ahead = [name for name in order if found[name].median > 0]
+    order = sorted(shares, key=lambda name: -shares[name].median)
+    ahead = [name for name in order if shares[name].median > 0]
     parts = [
-        italic(by_key[name].label) + f" {share_words(found[name])}{interval_words(found[name])}"
+        italic(by_key[name].label) + f" {share_words(shares[name])}{interval_words(shares[name])}"
         for name in ahead[:_NAMED]
     ]
     if more := ahead[_NAMED:]:
-        parts.append(Markup("{} more down to {}").format(len(more), share_words(found[more[-1]])))
+        parts.append(Markup("{} more down to {}").format(len(more), share_words(shares[more[-1]])))
     text = join_words(parts) if parts else Markup("none is better than at 0\u00a0%")
-    ways = max(sample.runs for sample in found.values())
+    ways = max(sample.runs for sample in shares.values())
     if ways < len(condition.seeds):
         text += Markup(" (on {} of {} seeds there is a way to go)").format(ways, len(condition.seeds))
     behind = [by_key[name] for name in order if name not in ahead]

@@ -57,7 +57,7 @@ def simulation_page(simulation: Simulation) -> str:
     part = StudyPart(
         "s1-", 1, title, ended, facts, Markup(""), [], [section for section in sections if section.blocks]
     )
-    data = {one.id: {name: pack(column) for name, column in one.columns.items()} for one in signals}
+    data = {signal.id: {name: pack(column) for name, column in signal.columns.items()} for signal in signals}
     return set_page([part], data)
 
 
@@ -82,7 +82,7 @@ def simulation_drawing(simulation: Simulation) -> str:
         place = f'<svg x="{_MARGIN:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
         parts.append(svg.replace("<svg", place, 1))
         width, height = max(width, wide + 2 * _MARGIN), height + high + _MARGIN
-    drawn = _COLOUR.sub(lambda found: colours.get(found[1], "none"), "".join(parts))
+    drawn = _COLOUR.sub(lambda match: colours.get(match[1], "none"), "".join(parts))
     ink = colours.get("--ink", "black")
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
@@ -126,12 +126,12 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
     if count <= _MOST_POINTS:
         return np.arange(count)
     edges = np.linspace(0, count, _MOST_POINTS // 2 + 1).astype(np.intp)
-    found = [
+    extremes = [
         begin + at(values[begin:end])
         for begin, end in pairwise(edges.tolist())
         for at in (np.argmin, np.argmax)
     ]
-    return np.unique(np.array([0, *found, count - 1], dtype=np.intp))
+    return np.unique(np.array([0, *extremes, count - 1], dtype=np.intp))
 
 
 def _view(simulation: Simulation, signal: Signal, width: int) -> View:
@@ -154,8 +154,8 @@ def _table(simulation: Simulation) -> Table:
     headings = (Heading("signal", numeric=False), *map(Heading, ("start", "min", "max", "end")))
     rows = []
     for variable, values, is_input in _every(simulation):
-        found = [values[0], values.min(), values.max(), values[-1]] if len(values) else []
-        cells = tuple(Cell(significant(float(value), 6), float(value)) for value in found)
+        figures = [values[0], values.min(), values.max(), values[-1]] if len(values) else []
+        cells = tuple(Cell(significant(float(value), 6), float(value)) for value in figures)
         unit = unit_symbol(variable.unit) or "1"
         name = f"{variable.name}{' (input)' if is_input else ''}"
         rows.append(Row(name, (*(cells or (Cell("-"),) * 4), Cell(unit, unit))))

@@ -28,15 +28,15 @@ def own_sections() -> dict[str, ReportSection]:
     CosimWarning
         One cannot be loaded, or is neither a section nor a format.
     """
-    found = {}
+    sections = {}
     for plugin in installed("reports"):
         if isinstance(plugin.value, ReportSection):
-            found[plugin.name] = plugin.value
+            sections[plugin.name] = plugin.value
         elif not callable(plugin.value):
             what = f"it is a {type(plugin.value).__name__}; needed: a ddpc_cosim.ReportSection, or a function"
             said = f"report {plugin.name} ({plugin.package}): {plugin.error or what}"
             warnings.warn(printable(said), CosimWarning, stacklevel=2)
-    return found
+    return sections
 
 
 def own_blocks(section: ReportSection, results: StudyResults, prefix: str) -> list[tuple[str, Any]]:
@@ -51,18 +51,18 @@ def own_blocks(section: ReportSection, results: StudyResults, prefix: str) -> li
         made = list(section.make(results))
     except SystemExit as error:
         raise PluginError(f"it has ended the program: SystemExit: {error}") from error
-    return [_block(section, one, f"{prefix}{place}") for place, one in enumerate(made, start=1)]
+    return [_block(section, block, f"{prefix}{place}") for place, block in enumerate(made, start=1)]
 
 
-def _block(section: ReportSection, one: Any, identifier: str) -> tuple[str, Any]:
-    if isinstance(one, str):
-        return "paragraph", str(one)
-    if isinstance(one, ReportTable):
-        return "table", _table(one, identifier)
-    if isinstance(one, Mapping):
-        return "figure", (_figure(section, one, identifier), identifier)
+def _block(section: ReportSection, block: Any, identifier: str) -> tuple[str, Any]:
+    if isinstance(block, str):
+        return "paragraph", str(block)
+    if isinstance(block, ReportTable):
+        return "table", _table(block, identifier)
+    if isinstance(block, Mapping):
+        return "figure", (_figure(section, block, identifier), identifier)
     needed = "a str, a ddpc_cosim.ReportTable, or a Vega-Lite specification as a dict"
-    raise PluginError(f"block {identifier.rpartition('-')[2]} is a {type(one).__name__}; needed: {needed}")
+    raise PluginError(f"block {identifier.rpartition('-')[2]} is a {type(block).__name__}; needed: {needed}")
 
 
 def _table(given: ReportTable, identifier: str) -> Table:

@@ -29,38 +29,39 @@ def tidy_table(results: Sequence[StudyResults]) -> str:
 
 def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
     """Yield the rows; a rank that there is not is empty, a missing number NaN."""
-    for one in results:
-        names = one.whole.problems
-        views = {part.study.name: part for part in one.problems()}
-        views |= {part.study.name: part for name in names for part in one.variants(name)}
-        yield from (row for part in views.values() for row in _rows(one, part))
+    for study_results in results:
+        names = study_results.whole.problems
+        views = {part.study.name: part for part in study_results.problems()}
+        views |= {part.study.name: part for name in names for part in study_results.variants(name)}
+        yield from (row for part in views.values() for row in _rows(study_results, part))
 
 
 def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ...]]:
     """Yield the rows of one problem, or of a variant of one by the study's sweep."""
     study = part.study
-    ranks = {one.controller: one.rank for one in standings(study, part.cases).order if one.shown}
+    order = standings(study, part.cases).order
+    ranks = {standing.controller: standing.rank for standing in order if standing.shown}
     words = variant_words(study.varied)
     for condition in conditions(part):
-        for one in (*condition.controllers, *condition.variants):
+        for controller in (*condition.controllers, *condition.variants):
             of_whom = (results.whole.head.name, study.variant_of or study.name, words, study.plant.label)
             of_run = (
                 condition.scenario,
-                one.key,
-                one.label,
-                ranks.get(one.key, ""),
-                one.failed,
-                len(one.cases),
+                controller.key,
+                controller.label,
+                ranks.get(controller.key, ""),
+                controller.failed,
+                len(controller.cases),
             )
-            for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
-                yield *of_whom, *of_run, *_of_metric(key, one.cases)
+            for key in dict.fromkeys(key for case in controller.cases for key in case.metrics):
+                yield *of_whom, *of_run, *_of_metric(key, controller.cases)
 
 
 def _of_metric(key: str, cases: Sequence[CaseResult]) -> tuple[Value, ...]:
     """Return the cells of a metric: its value as the page sums it up, and over runs that did not fail."""
     runs = [(case.seed, case.metrics.get(key, math.nan) if not case.failed else math.nan) for case in cases]
     known = [value for _, value in runs if not math.isnan(value)]
-    found = describe({("", seed): value for seed, value in runs})
+    sample = describe({("", seed): value for seed, value in runs})
     ends = (min(known), max(known)) if known else (math.nan, math.nan)
-    values = (summed(cases, key), found.median, *ends, found.low, found.high)
+    values = (summed(cases, key), sample.median, *ends, sample.low, sample.high)
     return *split_key(key), metric_of(key).better, *map(float, values)

@@ -52,7 +52,7 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
     head, rows = own_rows(results.trials_file.read_text(encoding="utf-8"))
     first, last = (head.index(name) for name in _FIGURES)
     figures = head[first + 1 : last]
-    found: dict[str, list[_Trial]] = {}
+    by_controller: dict[str, list[_Trial]] = {}
     for row in (dict(zip(head, values, strict=True)) for values in rows):
         if row["problem"] == results.study.name:
             trial = _Trial(
@@ -67,7 +67,7 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
                 at_ends=row.get("at ends", ""),
                 settings=json.loads(row["settings"]),
             )
-            found.setdefault(row["controller"], []).append(trial)
+            by_controller.setdefault(row["controller"], []).append(trial)
     sections = results.study.controllers
     searches = [
         _Search(
@@ -75,7 +75,7 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
             tuple(trials),
             next(trial for trial in trials if trial.chosen),
         )
-        for key, trials in found.items()
+        for key, trials in by_controller.items()
         if key in sections
     ]
     parts = (name.partition(",") for name in figures)
@@ -91,37 +91,39 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
     names, searches = _read(results)
     if not searches:
         return []
-    given, found = [one.trials[0] for one in searches], [one.chosen for one in searches]
+    given, chosen = [search.trials[0] for search in searches], [search.chosen for search in searches]
     worth = [
         column
         for number, name in enumerate(names)
-        for column in _pair(name, [[one.held_out[number] for one in trials] for trials in (given, found)])
+        for column in _pair(
+            name, [[trial.held_out[number] for trial in trials] for trials in (given, chosen)]
+        )
     ]
-    texts = [mapping_text(one.settings) if one.number else "as given" for one in found]
+    texts = [mapping_text(trial.settings) if trial.number else "as given" for trial in chosen]
     worth.append((Heading("settings found", numeric=False), [Cell(text) for text in texts]))
-    at_ends = any(one.at_ends for one in found)
+    at_ends = any(trial.at_ends for trial in chosen)
     if at_ends:
-        cells = [Cell(one.at_ends) for one in found]
+        cells = [Cell(trial.at_ends) for trial in chosen]
         worth.append((Heading("at an end of the search", numeric=False), cells))
     counts = {
-        "all": [len(one.trials) for one in searches],
-        "pruned": [sum(trial.pruned for trial in one.trials) for one in searches],
-        "runs": [sum(trial.runs for trial in one.trials) for one in searches],
+        "all": [len(search.trials) for search in searches],
+        "pruned": [sum(trial.pruned for trial in search.trials) for search in searches],
+        "runs": [sum(trial.runs for trial in search.trials) for search in searches],
     }
     trials = [
         (Heading(title, group="trials"), number_cells([*map(float, values)], better=""))
         for title, values in counts.items()
     ]
     for number, name in enumerate(names):
-        trials += _pair(name, [[one.figures[number] for one in trials] for trials in (given, found)])
-    if any(one.origin for one in found):
-        trials.append((Heading("chosen from", numeric=False), [Cell(one.origin) for one in found]))
+        trials += _pair(name, [[trial.figures[number] for trial in trials] for trials in (given, chosen)])
+    if any(trial.origin for trial in chosen):
+        trials.append((Heading("chosen from", numeric=False), [Cell(trial.origin) for trial in chosen]))
     took = results.provenance.get("tuning")
     notes = (
         "On the seeds of the trials, by which the settings were chosen.",
         *([f"{took}."] if took else []),
     )
-    labels = [one.label for one in searches]
+    labels = [search.label for search in searches]
     said = ("Settings within 3 % of an end of where was looked: a wider search may find better ones.",)
     ends = said if at_ends else ()
     title = "As given against tuned, on the seeds of this report"
@@ -159,16 +161,16 @@ def front_figures(results: StudyResults, prefix: str) -> list[Figure]:
     if len(objectives := names[1:]) < 2:
         return []
     figures = []
-    for number, one in enumerate(searches, start=1):
-        if rows := _points(one):
-            caption = _caption(objectives, one, len(rows))
+    for number, search in enumerate(searches, start=1):
+        if rows := _points(search):
+            caption = _caption(objectives, search, len(rows))
             chart = front_chart(rows, objectives[:2], joined=len(objectives) == 2)
             name = f"{prefix}front-{number}"
-            figures.append(one_chart(name, "Front of the objectives", caption, chart, one.label))
+            figures.append(one_chart(name, "Front of the objectives", caption, chart, search.label))
     return figures
 
 
-def _points(one: _Search) -> list[dict[str, Any]]:
+def _points(search: _Search) -> list[dict[str, Any]]:
     """Return the trials with as few failed runs as the one chosen and have both figures."""
     return [
         {
@@ -179,17 +181,17 @@ def _points(one: _Search) -> list[dict[str, Any]]:
             "given": trial.number == 0,
             "text": f"trial {trial.number}: {mapping_text(trial.settings)}",
         }
-        for trial in one.trials
-        if trial.figures[0] == one.chosen.figures[0] and all(map(math.isfinite, trial.figures))
+        for trial in search.trials
+        if trial.figures[0] == search.chosen.figures[0] and all(map(math.isfinite, trial.figures))
     ]
 
 
-def _caption(objectives: Sequence[str], one: _Search, shown: int) -> str:
-    left_out = len(one.trials) - shown
+def _caption(objectives: Sequence[str], search: _Search, shown: int) -> str:
+    left_out = len(search.trials) - shown
     rest = f" Left out: {counted(left_out, 'trial')} with more failed runs or no figures." if left_out else ""
     line = "the line joins" if len(objectives) == 2 else "full ones are"
     return (
-        f"{one.label}: one dot per trial; {line} those than which no other is better in one objective "
+        f"{search.label}: one dot per trial; {line} those than which no other is better in one objective "
         f"and worse in none; diamond: the trial chosen, within 1\u00a0% of the best in the first objective; "
         f"square: as given.{rest}"
     )

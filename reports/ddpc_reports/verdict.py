@@ -56,11 +56,11 @@ Part = Literal["failures", "distribution", "response", "limits", "time"]
 def findings(condition: Condition, part: Part) -> list[Statement]:
     """Return the findings of one condition that belong to a section of the page."""
     failures = part == "failures"
-    found = [Statement("Completed", _completeness(condition))] if failures else []
-    if not any(one.completed for one in condition.controllers):
-        return found
+    statements = [Statement("Completed", _completeness(condition))] if failures else []
+    if not any(controller.completed for controller in condition.controllers):
+        return statements
     if failures:
-        return [*found, Statement("Fallbacks", _fallbacks(condition))]
+        return [*statements, Statement("Fallbacks", _fallbacks(condition))]
     if part == "time":
         return [Statement("Step time", _times(condition))]
     bounds = [Statement("Bounds", _violations(condition))] if part == "limits" else []
@@ -75,12 +75,12 @@ def findings(condition: Condition, part: Part) -> list[Statement]:
 
 
 def _completeness(condition: Condition) -> Markup:
-    early = [one for one in condition.controllers if not one.completed_all]
+    early = [controller for controller in condition.controllers if not controller.completed_all]
     total = len(condition.cases)
     if not early:
         return _all_completed(condition) + _completed_and_failed(condition)
-    done = sum(len(one.completed) for one in condition.controllers)
-    who = join_words([_ended_early(one) for one in early])
+    done = sum(len(controller.completed) for controller in condition.controllers)
+    who = join_words([_ended_early(controller) for controller in early])
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
     compared = " Values of cases that did not complete are not compared with those that did." if done else ""
@@ -89,16 +89,19 @@ def _completeness(condition: Condition) -> Markup:
 
 def _all_completed(condition: Condition) -> Markup:
     total = len(condition.cases)
-    own = " of the controllers with their own settings" if condition.variants else ""
+    whose = " of the controllers with their own settings" if condition.variants else ""
     if total > 1:
-        return Markup("All {} cases{} completed.").format(total, own)
-    return Markup("The case{} completed.").format(own.replace("controllers", "controller"))
+        return Markup("All {} cases{} completed.").format(total, whose)
+    return Markup("The case{} completed.").format(whose.replace("controllers", "controller"))
 
 
 def _completed_and_failed(condition: Condition) -> Markup:
     """Name the controllers of which runs completed and failed; nothing without any."""
-    counts = [(len(one.completed) - len(one.succeeded), one) for one in condition.contenders]
-    who = [bold(one.label) + f" {n} of {len(one.cases)}" for n, one in counts if n]
+    counts = [
+        (len(controller.completed) - len(controller.succeeded), controller)
+        for controller in condition.contenders
+    ]
+    who = [bold(controller.label) + f" {n} of {len(controller.cases)}" for n, controller in counts if n]
     if not who:
         return Markup("")
     return Markup(
@@ -107,21 +110,21 @@ def _completed_and_failed(condition: Condition) -> Markup:
     ).format(join_words(who))
 
 
-def _ended_early(one: ControllerResults) -> Markup:
-    cases = [case for case in one.cases if case not in one.completed]
+def _ended_early(controller: ControllerResults) -> Markup:
+    cases = [case for case in controller.cases if case not in controller.completed]
     outcomes = ", ".join(dict.fromkeys(str(case.outcome) for case in cases))
-    return bold(one.label) + f" {len(cases)} of {len(one.cases)} ({outcomes})"
+    return bold(controller.label) + f" {len(cases)} of {len(controller.cases)} ({outcomes})"
 
 
 def _violations(condition: Condition) -> Markup:
     bounds = [trace.bounds for trace in condition.first_traces.values()]
-    if bounds and not any(np.isfinite([one.y_min, one.y_max]).any() for one in bounds):
+    if bounds and not any(np.isfinite([limits.y_min, limits.y_max]).any() for limits in bounds):
         return Markup("The outputs have no limits here.")
     offenders = [
-        italic(one.label) + f" by up to {formatter(key, 3)(worst)} ({metric_signal(key)})"
+        italic(controller.label) + f" by up to {formatter(key, 3)(worst)} ({metric_signal(key)})"
         for key in condition.keys("bound_violation_max")
-        for one in condition.controllers
-        if (worst := one.over_seeds(key).high) > 0
+        for controller in condition.controllers
+        if (worst := controller.over_seeds(key).high) > 0
     ]
     if not offenders:
         return Markup("No output went beyond its limits in a completed case.")
@@ -148,7 +151,7 @@ def _times(condition: Condition) -> Markup:
 
 def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
-    unsure = condition.not_told_apart(key)
+    unsure = condition.level_with_first(key)
     return ("; " + level_clause(names(unsure)) if unsure else Markup("")) + _in_pairs(condition, key)
 
 
@@ -166,9 +169,9 @@ def _among(condition: Condition) -> str:
 def _deadlines(condition: Condition) -> Markup:
     sampling_time = condition.results.study.loop.sampling_time
     missed = [
-        italic(one.label) + f" ({counted(count, 'step')})"
-        for one in condition.controllers
-        if (count := one.total("deadline_misses [1]"))
+        italic(controller.label) + f" ({counted(count, 'step')})"
+        for controller in condition.controllers
+        if (count := controller.total("deadline_misses [1]"))
     ]
     if missed:
         return Markup("Steps longer than the sampling time of {}: {}.").format(
@@ -189,9 +192,9 @@ def _longest_steps(cases: Sequence[CaseResult]) -> list[float]:
 
 def _fallbacks(condition: Condition) -> Markup:
     who = [
-        italic(one.label) + f" at {counted(count, 'sample')}"
-        for one in condition.controllers
-        if (count := one.total("failures [1]"))
+        italic(controller.label) + f" at {counted(count, 'sample')}"
+        for controller in condition.controllers
+        if (count := controller.total("failures [1]"))
     ]
     if not who:
         return Markup("No controller reported a fallback.")
@@ -212,7 +215,7 @@ def tracking(condition: Condition) -> list[Statement]:
 
 
 def _is_cost(key: str) -> bool:
-    """Whether controllers are ranked by a cost: it may weigh inputs too, and is no tracking error."""
+    """Whether controllers are ranked by a cost: it may weigh inputs too, and is not a tracking error."""
     return split_key(key)[0] == "cost"
 
 
@@ -240,10 +243,10 @@ def _in_short(condition: Condition, key: str) -> Markup:
     else:
         first = _first(condition, key, alike[0])
         text = Markup("{} {}").format(first, median_and_range(alike[0].over_seeds(key), key))
-    unsure = condition.not_told_apart(key)
+    unsure = condition.level_with_first(key)
     if unsure:
-        values = {one.key: show(value) for value, one in order}
-        named = [italic(one.label) + f" {values[one.key]}" for one in unsure]
+        values = {controller.key: show(value) for value, controller in order}
+        named = [italic(controller.label) + f" {values[controller.key]}" for controller in unsure]
         text += Markup(", not told apart from {}").format(some_of(named))
     elif len(order) > len(alike):
         value, next_one = order[len(alike)]
@@ -255,7 +258,7 @@ def _alike(
     order: Sequence[tuple[float, ControllerResults]], show: Callable[[float], str]
 ) -> list[ControllerResults]:
     """Return the first of a ranking, and those whose value reads the same."""
-    return [one for value, one in order if show(value) == show(order[0][0])]
+    return [controller for value, controller in order if show(value) == show(order[0][0])]
 
 
 def _last(
@@ -290,20 +293,20 @@ def least_travel(condition: Condition) -> list[Statement]:
         return statements
     tracks = condition.ranking(costs[0])
     winner = condition.ranking(travels[0])[0][1]
-    own = winner.over_seeds(costs[0]).median
-    if not tracks or not own > _POOR * tracks[0][0]:
+    cost = winner.over_seeds(costs[0]).median
+    if not tracks or not cost > _POOR * tracks[0][0]:
         return statements
     show = formatter(costs[0], 3)
     text = Markup(" Its {} is far from the best, though: {} against {}.").format(
-        metric_name(costs[0]), show(own), show(tracks[0][0])
+        metric_name(costs[0]), show(cost), show(tracks[0][0])
     )
     return [Statement(topic, travel + text) for topic, travel in statements]
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
-    eligible = [one for one in condition.contenders if one.succeeded_first]
-    order = ranked(key, eligible, [one.at_first(key) for one in eligible])
-    others = [one for one in condition.contenders if one not in eligible]
+    eligible = [controller for controller in condition.contenders if controller.succeeded_first]
+    order = ranked(key, eligible, [controller.at_first(key) for controller in eligible])
+    others = [controller for controller in condition.contenders if controller not in eligible]
     seed = condition.seeds[0]
     if not order:
         return Markup("Every run on seed {} failed.").format(seed)
@@ -317,8 +320,8 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
     # A run that failed can have the smaller figure, a cost above all.
-    own = [one.first_case.metrics for one in others if one.first_case]
-    beaten = any(metrics.get(key, math.nan) < best for metrics in own)
+    metrics_of_others = [controller.first_case.metrics for controller in others if controller.first_case]
+    beaten = any(metrics.get(key, math.nan) < best for metrics in metrics_of_others)
     where = f"On seed {seed}, of the runs that did not fail," if beaten else f"On seed {seed},"
     if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))
@@ -342,7 +345,7 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
         return Markup("No controller is without a failed run, so medians are not compared.")
-    winner, rest = order[0][1], [one for _, one in order[1:]]
+    winner, rest = order[0][1], [controller for _, controller in order[1:]]
     shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
         only = "Only " if condition.not_ranked else ""
@@ -361,7 +364,7 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     return (
         text
         + _seed_by_seed(winner, rest[0], key)
-        + _told_apart(condition, key)
+        + _significance(condition, key)
         + _constant([winner, *rest], key)
     )
 
@@ -375,39 +378,39 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
     )
 
 
-def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
+def _first(condition: Condition, key: str, controller: ControllerResults) -> Markup:
     """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
     unsure = len(condition.seeds) > 1 and not condition.compared(key).tells_first
-    return (italic if unsure else bold)(one.label)
+    return (italic if unsure else bold)(controller.label)
 
 
-def _told_apart(condition: Condition, key: str) -> Markup:
+def _significance(condition: Condition, key: str) -> Markup:
     """Say from which others the seeds tell the first of a ranking apart, and how sure that is."""
-    compared, unsure = condition.compared(key), condition.not_told_apart(key)
-    others = {b: found for (a, b), found in compared.differences.items() if a == compared.order[0]}
+    compared, unsure = condition.compared(key), condition.level_with_first(key)
+    others = {b: difference for (a, b), difference in compared.differences.items() if a == compared.order[0]}
     if compared.too_few_seeds:
         words = _difference(next(iter(others.values())), key)
         return Markup(" To the next: {}.").format(words) + _too_few_seeds([condition], [key])
     if not unsure:
-        tested = [found.corrected for found in others.values() if not found.constant]
+        tested = [difference.corrected for difference in others.values() if not difference.constant]
         sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
         among = " without a failed run" if condition.not_ranked else ""
         return Markup(" The seeds tell it apart from every other controller{}{}{}.").format(
             among, sure, _in_pairs(condition, key)
         )
+    differences = [(italic(controller.label), others[controller.key]) for controller in unsure]
     named = [
-        italic(one.label)
-        + f" ({_difference(others[one.key], key)}, corrected p {p_words(others[one.key].corrected, '= ')})"
-        for one in unsure
+        name + f" ({_difference(difference, key)}, corrected p {p_words(difference.corrected, '= ')})"
+        for name, difference in differences
     ]
     return " " + sentence(level_clause(named)) + _in_pairs(condition, key) + "."
 
 
-def _difference(found: Difference, key: str) -> str:
+def _difference(difference: Difference, key: str) -> str:
     """Write the median difference of another to the first of a ranking, with its interval."""
     show = formatter(key, 3)
-    interval = f", 95\u00a0% interval {show(-found.high)} … {show(-found.low)}"
-    return f"median difference {show(-found.median)}" + ("" if math.isnan(found.low) else interval)
+    interval = f", 95\u00a0% interval {show(-difference.high)} … {show(-difference.low)}"
+    return f"median difference {show(-difference.median)}" + ("" if math.isnan(difference.low) else interval)
 
 
 def p_words(p: float, sign: str = "") -> str:
@@ -424,7 +427,7 @@ def _too_few_seeds(conditions: Sequence[Condition], keys: Sequence[str]) -> Mark
 
 
 def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
-    same = [one for one in order if not one.over_seeds(key).varies]
+    same = [controller for controller in order if not controller.over_seeds(key).varies]
     if not same or len(same) == len(order):
         return Markup(" The seed changes nothing here.") if same else Markup("")
     return Markup(" The seed changes nothing for {}.").format(join_words(names(same)))
@@ -449,7 +452,7 @@ def _leader(
 
 def names(controllers: Sequence[ControllerResults]) -> list[Markup]:
     """Set names that are mentioned."""
-    return [italic(one.label) for one in controllers]
+    return [italic(controller.label) for controller in controllers]
 
 
 def by_signal(lines: Sequence[tuple[str, Markup]]) -> Markup:
@@ -486,9 +489,9 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
         return []
     lines = [
         (metric_signal(key), _winners(conditions, key))
-        for key in dict.fromkeys(key for one in conditions for key in one.headline)
+        for key in dict.fromkeys(key for condition in conditions for key in condition.headline)
     ]
-    keys = [key for one in conditions for key in one.headline]
+    keys = [key for condition in conditions for key in condition.headline]
     return [Statement(_topic(keys[0]), by_signal(lines))] if lines else []
 
 
@@ -500,7 +503,8 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         order = condition.ranking(key)
         alike = _alike(order, formatter(key))
         if len(order) > 1 and len(alike) < len(order):
-            won.setdefault(tuple(one.label for one in alike), []).append(italic(condition.label))
+            winners = tuple(controller.label for controller in alike)
+            won.setdefault(winners, []).append(italic(condition.label))
     if not won:
         return Markup("There is no scenario in which two controllers without a failed run differ.")
     parts: list[Markup] = []
@@ -518,7 +522,7 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     where = [
         italic(condition.label) + " (from " + some_of(names(unsure)) + ")"
         for condition in conditions
-        if (unsure := condition.not_told_apart(key))
+        if (unsure := condition.level_with_first(key))
     ]
     text = Markup(" The seeds do not tell the first apart in {}.").format(join_words(where)) if where else ""
     behind = [
@@ -533,34 +537,34 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
 
 def limitations(conditions: Sequence[Condition]) -> list[str]:
     """Return the study's own limitations, then those that its results show."""
-    found = [*conditions[0].results.study.report.limitations] if conditions else []
-    found += (
+    sentences = [*conditions[0].results.study.report.limitations] if conditions else []
+    sentences += (
         _of_references(conditions) + _of_cases(conditions) + _of_windows(conditions) + _of_seeds(conditions)
     )
     if conditions:
-        found.append(
+        sentences.append(
             "Step times are wall-clock times of one machine under the load it had; they rank "
             "implementations, not methods."
         )
-    return found
+    return sentences
 
 
 def _of_references(conditions: Sequence[Condition]) -> list[str]:
     """Name the references that go beyond the limits of their own outputs, and for whom, where not for all."""
-    found: dict[str, list[str]] = {}
-    everyone = dict.fromkeys(one.label for condition in conditions for one in condition.controllers)
+    labels_by_text: dict[str, list[str]] = {}
+    everyone = {controller.label for condition in conditions for controller in condition.controllers}
     for condition in conditions:
-        for one in condition.controllers:
-            if (trace := condition.first_traces.get(one.key)) is None:
+        for controller in condition.controllers:
+            if (trace := condition.first_traces.get(controller.key)) is None:
                 continue
             limits = trace.bounds.y_min, trace.bounds.y_max
             for text in references_beyond_limits(trace.outputs, trace.reference, *limits):
-                found.setdefault(text, []).append(one.label)
+                labels_by_text.setdefault(text, []).append(controller.label)
     return [
         f"{text[:1].upper()}{text[1:]}"
-        + ("" if set(labels) == set(everyone) else f" ({', '.join(dict.fromkeys(labels))})")
+        + ("" if set(labels) == everyone else f" ({', '.join(dict.fromkeys(labels))})")
         + f": {CANNOT_FOLLOW}."
-        for text, labels in found.items()
+        for text, labels in labels_by_text.items()
     ]
 
 
@@ -568,9 +572,9 @@ def _of_cases(conditions: Sequence[Condition]) -> list[str]:
     of_label: dict[str, list[CaseResult]] = {}
     done: dict[str, int] = {}
     for condition in conditions:
-        for one in condition.controllers:
-            of_label.setdefault(one.label, []).extend(one.cases)
-            done[one.label] = done.get(one.label, 0) + len(one.completed)
+        for controller in condition.controllers:
+            of_label.setdefault(controller.label, []).extend(controller.cases)
+            done[controller.label] = done.get(controller.label, 0) + len(controller.completed)
     return [
         f"{label}: none of its cases completed, so there are no values of it to compare."
         if not done[label]
@@ -585,7 +589,8 @@ def _of_windows(conditions: Sequence[Condition]) -> list[str]:
     """Name the outputs of which no run has a settled error, and those whose reference has no steps."""
 
     def unknown(name: str) -> list[str]:
-        cases = [case for condition in conditions for one in condition.controllers for case in one.completed]
+        controllers = (controller for condition in conditions for controller in condition.controllers)
+        cases = [case for controller in controllers for case in controller.completed]
         return [
             metric_signal(key)
             for key in metric_keys(conditions, name)

@@ -76,7 +76,7 @@ def make_trace(
 
 def findings_of(condition: Condition) -> list[Statement]:
     """Return all findings of a condition."""
-    return [one for part in get_args(Part) for one in findings(condition, part)]
+    return [statement for part in get_args(Part) for statement in findings(condition, part)]
 
 
 def ranked(condition: Condition) -> Table:

@@ -24,13 +24,13 @@ LAGS = {"quick": 0.3, "middle": 0.5, "slow": 1.0}
 
 
 def found_in(results: list[StudyResults]) -> Overall:
-    found = overall(results)
-    assert found
-    return found
+    comparison = overall(results)
+    assert comparison
+    return comparison
 
 
-def said(found: Overall) -> dict[str, str]:
-    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in overall_statements(found)}
+def said(comparison: Overall) -> dict[str, str]:
+    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in overall_statements(comparison)}
 
 
 @pytest.fixture
@@ -44,17 +44,19 @@ def alike(make_results: MakeResults) -> list[StudyResults]:
 
 def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
     """Of three that differ by two ranks, the outer ones are further apart than 2.343 sqrt(3 4 / (6 8))."""
-    found = found_in(alike)
-    assert found.told.ranks.ranks == {"quick": 1.0, "middle": 2.0, "slow": 3.0}
-    assert found.told.ranks.critical_difference == pytest.approx(2.343 * 0.5, abs=1e-3)
-    assert found.told.ranks.statistic == pytest.approx(friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic)
-    table = overall_table(found, "")
+    comparison = found_in(alike)
+    assert comparison.findings.ranks.ranks == {"quick": 1.0, "middle": 2.0, "slow": 3.0}
+    assert comparison.findings.ranks.critical_difference == pytest.approx(2.343 * 0.5, abs=1e-3)
+    assert comparison.findings.ranks.statistic == pytest.approx(
+        friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic
+    )
+    table = overall_table(comparison, "")
     assert [[cell.text.strip() for cell in row.cells] for row in table.rows] == [
         ["1", "a", "100", "100", "0 of 8"],
         ["2", "a b", "0", "100", "0 of 8"],
         ["3", "b", "0", "0", "0 of 8"],
     ]
-    assert said(found) == {
+    assert said(comparison) == {
         "Ranks": "Over 8 problems, Quick has the best average rank, 1.00; the problems do not tell it apart "
         "from Middle. Friedman's test: p &lt; 0.001; ranks that are 1.17 or more apart differ."
     }
@@ -68,10 +70,10 @@ def test_the_kinds_that_tuning_chose_are_counted_and_numbers_are_not(make_result
         settings = {"dictionary": {"type": kind, "n": 3}, "horizon": 5, "integral": True, "form": "cfdl"}
         controllers = THREE | {"quick": THREE["quick"] | {"settings": settings, "tuned": tuned}}
         problems.append(make_results(lambda key, seed: make_trace(LAGS[key]), controllers))
-    found = found_in(problems)
-    assert found.chosen == {"quick": "dictionary: Flat 2, Curved 1; integral: yes 3"}
-    table = overall_table(found, "")
-    assert [row.cells[-1].text for row in table.rows] == [found.chosen["quick"], MISSING, MISSING]
+    comparison = found_in(problems)
+    assert comparison.chosen == {"quick": "dictionary: Flat 2, Curved 1; integral: yes 3"}
+    table = overall_table(comparison, "")
+    assert [row.cells[-1].text for row in table.rows] == [comparison.chosen["quick"], MISSING, MISSING]
 
 
 def test_the_figures_draw_what_the_table_says(alike: list[StudyResults]) -> None:
@@ -108,16 +110,18 @@ def test_failed_runs_problems_in_which_all_fail_and_absent_controllers_are_told(
         make_results(lambda key, seed: make_trace(LAGS[key], outputs=(SPEED, FORCE)), two, seeds=[7]),
         make_results(stuck, THREE, title="Out of reach"),
     ]
-    found = found_in(results)
-    assert found.told.ranks.problems == 2
-    assert found.told.ranks.ranks == {"quick": 1.5, "slow": 1.5}
-    assert found.told.failed == {"quick": (1, 3), "middle": (0, 2), "slow": (0, 3)}
-    assert math.isnan(found.told.ranks.p)
-    told = said(found)
-    assert told["Left out"] == "In Out of reach every controller fails: nothing is ranked there."
-    assert told["Not ranked"] == "Middle: not in every problem, so not ranked over all."
-    assert "It takes three controllers for a test." in told["Ranks"]
-    assert overall_figures(found, "")[0].caption.endswith("; of two controllers none is, as it takes three.")
+    comparison = found_in(results)
+    assert comparison.findings.ranks.problems == 2
+    assert comparison.findings.ranks.ranks == {"quick": 1.5, "slow": 1.5}
+    assert comparison.findings.failed == {"quick": (1, 3), "middle": (0, 2), "slow": (0, 3)}
+    assert math.isnan(comparison.findings.ranks.p)
+    statements = said(comparison)
+    assert statements["Left out"] == "In Out of reach every controller fails: nothing is ranked there."
+    assert statements["Not ranked"] == "Middle: not in every problem, so not ranked over all."
+    assert "It takes three controllers for a test." in statements["Ranks"]
+    assert overall_figures(comparison, "")[0].caption.endswith(
+        "; of two controllers none is, as it takes three."
+    )
 
 
 def test_one_problem_is_none_to_compare_over(make_results: MakeResults) -> None:
@@ -135,5 +139,5 @@ def test_a_scenario_in_which_all_fail_is_named(alike: list[StudyResults], make_r
         replace(case, failed=True, failure="out of reach") if case.scenario == "b" else case
         for case in both.cases
     ]
-    told = said(found_in([*alike, replace(both, cases=tuple(cases))]))
-    assert told["Left out"] == "In one: Hard every controller fails: nothing is ranked there."
+    statements = said(found_in([*alike, replace(both, cases=tuple(cases))]))
+    assert statements["Left out"] == "In one: Hard every controller fails: nothing is ranked there."

@@ -27,15 +27,15 @@ Make = Callable[[str, int], Trace]
 
 def said(results: StudyResults) -> str:
     """Return the answer as plain text."""
-    found = findings_of(results.study, results.cases)
-    text = re.sub("<[^>]*>", "", str(answer(results, conditions(results), found)))
+    findings = findings_of(results.study, results.cases)
+    text = re.sub("<[^>]*>", "", str(answer(results, conditions(results), findings)))
     return html.unescape(text).translate({0xA0: " ", 0x202F: " ", 0x2212: "-"})
 
 
 def lag(of: dict[str, float], jitter: float = 0.02) -> Make:
     def trace_of(key: str, seed: int) -> Trace:
-        own = np.random.default_rng([seed, len(key), ord(key[0])]).standard_normal()
-        return make_trace(of[key] * (1 + jitter * own), noise_seed=seed)
+        deviation = np.random.default_rng([seed, len(key), ord(key[0])]).standard_normal()
+        return make_trace(of[key] * (1 + jitter * deviation), noise_seed=seed)
 
     return trace_of
 
@@ -55,11 +55,11 @@ def test_one_that_is_told_apart_from_all_is_ahead_by_the_difference_of_the_pairs
     a, b = values(results, "a"), values(results, "b")
     difference = median(b[seed] - a[seed] for seed in SEEDS)
     percent = 100 * difference / median(a.values())
-    told = said(results)
-    assert told.startswith(f"a is ahead over 12 seeds: mean absolute error {median(a.values()):.3g}° [")
-    assert re.search(rf"; the next, b, differs by \+{difference:.3g}° \[\d", told)
-    assert f"], +{percent:.2g} %." in told
-    assert "c" not in re.findall(r"\b[abc]\b", told)
+    text = said(results)
+    assert text.startswith(f"a is ahead over 12 seeds: mean absolute error {median(a.values()):.3g}° [")
+    assert re.search(rf"; the next, b, differs by \+{difference:.3g}° \[\d", text)
+    assert f"], +{percent:.2g} %." in text
+    assert "c" not in re.findall(r"\b[abc]\b", text)
 
 
 def having(results: StudyResults, of: dict[str, Callable[[str, int], float]]) -> StudyResults:
@@ -89,7 +89,7 @@ def test_the_percentage_is_that_of_the_difference_beside_it_not_that_of_the_medi
 def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_results: MakeResults) -> None:
     apart = [*(0.01 * n for n in range(1, 11)), -0.5, -0.6]
     results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "a", "b", "c", metrics=ALL_MATTERS)
-    told = said(
+    text = said(
         having(
             results,
             {
@@ -102,16 +102,16 @@ def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_re
     # The other two pairs are told apart and gone before: of this one alone, over the signs of all seeds.
     sums = abs(np.array([*product([1, -1], repeat=12)]) @ apart)
     p = float((sums >= abs(sum(apart)) - 1e-9).mean())
-    low, high = map(float, re.findall(r"\+[\d.]+° \[(\S+) … (\S+)\]", told)[0])
+    low, high = map(float, re.findall(r"\+[\d.]+° \[(\S+) … (\S+)\]", text)[0])
     assert 0 < low < high
-    assert "a and b lead over 12 seeds and are not told apart" in told
-    assert f"] (corrected p {p:.2f})." in told
+    assert "a and b lead over 12 seeds and are not told apart" in text
+    assert f"] (corrected p {p:.2f})." in text
 
 
 def test_who_alone_has_no_failed_run_is_not_told_to_be_ahead(make_results: MakeResults) -> None:
     results = study(make_results, lag({"a": 0.9, "b": 0.3}), "a", "b")
-    told = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
-    assert told == (
+    text = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
+    assert text == (
         "a alone has no failed run, over 12 seeds: mean absolute error 5.00° [the same on every seed]. "
         "Failed: b 1 of 12 runs (in the others ahead of a by 4.00° [the same on every seed])."
     )
@@ -120,9 +120,9 @@ def test_who_alone_has_no_failed_run_is_not_told_to_be_ahead(make_results: MakeR
 def test_runs_of_other_seeds_have_no_difference(make_results: MakeResults) -> None:
     results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b")
     cases = tuple(case for case in results.cases if (case.seed < 6) == (case.controller == "a"))
-    told = said(replace(results, cases=cases))
-    assert "unknown, without a run of the same seed" in told
-    assert "Not all ran in the same scenarios on the same seeds: differences are of what two share." in told
+    text = said(replace(results, cases=cases))
+    assert "unknown, without a run of the same seed" in text
+    assert "Not all ran in the same scenarios on the same seeds: differences are of what two share." in text
 
 
 def test_what_two_share_is_what_differences_and_percentages_are_of(make_results: MakeResults) -> None:
@@ -132,9 +132,9 @@ def test_what_two_share_is_what_differences_and_percentages_are_of(make_results:
     cases = tuple(
         case for case in both.cases if case.controller == "a" or (case.scenario == "x" and case.seed < 3)
     )
-    told = said(replace(both, cases=cases))
-    assert "differs by +0.500°, +50 %." in told
-    assert "3 seeds are too few to test 2 controllers against each other: it takes 6." in told
+    text = said(replace(both, cases=cases))
+    assert "differs by +0.500°, +50 %." in text
+    assert "3 seeds are too few to test 2 controllers against each other: it takes 6." in text
 
 
 def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
@@ -150,9 +150,9 @@ def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
 def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) -> None:
     lags = lag({"a": 0.5, "b": 0.5, "c": 0.9}, 0.1)
     results = study(make_results, lags, "c", "b", "a", metrics=ALL_MATTERS)
-    told = said(results)
-    assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean absolute error ", told)
-    low, high = re.findall(r"\[([-\d.]+) … ([-\d.]+)\]", told)[0]
+    text = said(results)
+    assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean absolute error ", text)
+    low, high = re.findall(r"\[([-\d.]+) … ([-\d.]+)\]", text)[0]
     assert float(low) < 0 < float(high)
 
 
@@ -174,9 +174,9 @@ def test_whose_runs_failed_is_told_and_that_it_is_ahead_in_the_others(make_resul
     results = study(make_results, trace_of, "swift", "a", "b")
     swift, a = values(results, "swift"), values(results, "a")
     gain = median(a[seed] - swift[seed] for seed in SEEDS if seed != 3)
-    told = said(results)
-    assert told.startswith("a is ahead over 12 seeds")
-    assert f"Failed: swift 1 of 12 runs (in the others ahead of a by {gain:.3g}° [" in told
+    text = said(results)
+    assert text.startswith("a is ahead over 12 seeds")
+    assert f"Failed: swift 1 of 12 runs (in the others ahead of a by {gain:.3g}° [" in text
 
 
 def test_where_every_controller_has_failed_runs_none_is_ahead(make_results: MakeResults) -> None:
@@ -184,8 +184,8 @@ def test_where_every_controller_has_failed_runs_none_is_ahead(make_results: Make
         falls = seed < (1 if key == "a" else 2)
         return make_trace(0.5, outcome=Outcome.DIVERGED if falls else Outcome.COMPLETED)
 
-    told = said(study(make_results, trace_of, "a", "b"))
-    assert told == "No controller is without a failed run. Fewest failed: a 1 of 12 runs."
+    text = said(study(make_results, trace_of, "a", "b"))
+    assert text == "No controller is without a failed run. Fewest failed: a 1 of 12 runs."
 
 
 def test_where_every_run_failed_nothing_is_ranked(make_results: MakeResults) -> None:
@@ -198,7 +198,7 @@ def test_where_every_run_failed_nothing_is_ranked(make_results: MakeResults) -> 
     )
     assert said(replace(beaten, cases=cases)) == ""
     for every in (results, replace(beaten, cases=cases)):
-        (remark,) = (one for one in findings_of(every.study, every.cases).remarks if one.is_failure)
+        (remark,) = (remark for remark in findings_of(every.study, every.cases).remarks if remark.is_failure)
         assert re.match("Every controller fails; in the best run, (angle ends|a is far off)", remark.text)
 
 
@@ -210,8 +210,8 @@ def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(
 ) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         trace = lag({"a": 0.3, "b": 0.9, "c": 1.1})(key, seed)
-        told = {"plant": known if key == "b" else "nothing"}
-        return replace(trace, recorded_samples=200 if key == "a" else 0, knowledge=told)
+        knowledge = {"plant": known if key == "b" else "nothing"}
+        return replace(trace, recorded_samples=200 if key == "a" else 0, knowledge=knowledge)
 
     results = study(make_results, trace_of, "a", "b", "c")
     a, b = values(results, "a"), values(results, "b")
@@ -226,9 +226,9 @@ def test_scenarios_count_together_but_for_those_in_which_all_fail(make_results: 
         replace(case, failed=True, failure="far off") if case.scenario == "dead" else case
         for case in results.cases
     )
-    told = said(replace(results, cases=cases))
-    assert told.startswith("a is ahead over 2 scenarios and 12 seeds")
-    assert told.endswith("Not counted, as every controller fails there: No power.")
+    text = said(replace(results, cases=cases))
+    assert text.startswith("a is ahead over 2 scenarios and 12 seeds")
+    assert text.endswith("Not counted, as every controller fails there: No power.")
 
 
 def test_where_scenarios_disagree_it_is_told_who_leads_where(make_results: MakeResults) -> None:
@@ -243,8 +243,8 @@ def test_where_scenarios_disagree_it_is_told_who_leads_where(make_results: MakeR
         else case
         for case in results.cases
     )
-    told = said(replace(results, cases=cases))
-    assert told.startswith(
+    text = said(replace(results, cases=cases))
+    assert text.startswith(
         "The scenarios disagree, so there is no overall rank: a leads in one and two; b leads in turned."
     )
     assert said(results).startswith("a is ahead over 3 scenarios")
@@ -278,8 +278,8 @@ def test_leaders_that_are_told_apart_by_too_little_are_told_to_be_no_better_by_e
     results = study(
         make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", metrics={"relevant": {"absolute": 0.5}}
     )
-    told = said(having(results, {"a": lambda s, n: 2.0, "b": lambda s, n: 2.1 + 0.05 * n}))
-    assert told.startswith(
+    text = said(having(results, {"a": lambda s, n: 2.0, "b": lambda s, n: 2.1 + 0.05 * n}))
+    assert text.startswith(
         "a and b lead over 12 seeds and none of them is significantly better by enough to matter: "
         "mean absolute error 2.00° and 2.38°, paired difference from the first +0.375° ["
     )
@@ -298,8 +298,8 @@ def test_a_leader_that_shares_no_seed_with_one_behind_is_not_told_to_be_ahead_of
         for case in figures.cases
         if case.controller == "c" or (case.controller == "a") == (case.seed < 12)
     )
-    told = said(replace(figures, cases=cases))
-    assert told.startswith("No controller is significantly better than a over 24 seeds: a 1.06°.")
+    text = said(replace(figures, cases=cases))
+    assert text.startswith("No controller is significantly better than a over 24 seeds: a 1.06°.")
 
 
 def test_what_differences_matter_is_that_of_the_scenario_alone(make_results: MakeResults) -> None:
@@ -316,12 +316,12 @@ def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> Non
     def trace_of(key: str, seed: int) -> Trace:
         return make_trace(0.3 if key == "a" else 0.9, outputs=(ANGLE, SPEED), noise_seed=seed)
 
-    told = said(study(make_results, trace_of, "a", "b"))
+    text = said(study(make_results, trace_of, "a", "b"))
     assert re.match(
-        r"a is ahead over 12 seeds: mean absolute error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
+        r"a is ahead over 12 seeds: mean absolute error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", text
     )
     assert re.search(
-        r"the next, b, differs by a factor of [\d.]+ in angle and a factor of [\d.]+ in speed\.", told
+        r"the next, b, differs by a factor of [\d.]+ in angle and a factor of [\d.]+ in speed\.", text
     )
 
 
@@ -356,5 +356,5 @@ def test_names_are_text(make_results: MakeResults, name: str) -> None:
 
 
 def test_alone_nobody_is_ahead(make_results: MakeResults) -> None:
-    told = said(study(make_results, lag({"a": 0.3}), "a"))
-    assert told.startswith("There is nothing to compare a with: mean absolute error ")
+    text = said(study(make_results, lag({"a": 0.3}), "a"))
+    assert text.startswith("There is nothing to compare a with: mean absolute error ")

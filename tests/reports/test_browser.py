@@ -61,7 +61,7 @@ def open_page(browser: webdriver.Chrome, page: str) -> None:
 
 def make_live(browser: webdriver.Chrome, selector: str) -> WebElement:
     """Scroll to the first such chart and return it once it is live."""
-    chart = one(browser, selector)
+    chart = element(browser, selector)
     script = "arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})"
     browser.execute_script(script, chart)
     wait(browser, lambda: "is-live" in str(chart.get_attribute("class")))
@@ -72,14 +72,14 @@ def wait(browser: webdriver.Chrome, condition: Callable[[], Any]) -> Any:
     return WebDriverWait(browser, 20, poll_frequency=0.05).until(lambda _: condition())
 
 
-def one(browser: webdriver.Chrome, selector: str) -> WebElement:
+def element(browser: webdriver.Chrome, selector: str) -> WebElement:
     return browser.find_element(By.CSS_SELECTOR, selector)
 
 
 def lines_drawn(browser: webdriver.Chrome) -> int:
     """Return how many controllers the first chart draws."""
     lines = "path[stroke^='var(--c'][stroke-width='1.6']"  # medians are thinner
-    return len(one(browser, ".chart .live svg").find_elements(By.CSS_SELECTOR, lines))
+    return len(element(browser, ".chart .live svg").find_elements(By.CSS_SELECTOR, lines))
 
 
 def time_labels(browser: webdriver.Chrome) -> set[str]:
@@ -96,16 +96,16 @@ def test_what_is_folded_is_drawn_when_it_is_opened_and_hides_what_its_neighbours
 ) -> None:
     fold = "#s1-1-what-controllers-said-of-their-steps details"
     assert not browser.find_elements(By.CSS_SELECTOR, "figure details .live")
-    assert not one(browser, f"{fold} .static").is_displayed()
-    one(browser, "button.entry").click()
-    one(browser, f"{fold} summary").click()
+    assert not element(browser, f"{fold} .static").is_displayed()
+    element(browser, "button.entry").click()
+    element(browser, f"{fold} summary").click()
     chart = make_live(browser, f"{fold} .chart").find_element(By.CSS_SELECTOR, ".live svg")
     assert chart.is_displayed()
     assert chart.size["width"] > 300
     quick = "path[stroke^='var(--c']"
     assert not chart.find_elements(By.CSS_SELECTOR, quick)
-    one(browser, f"{fold} button.entry").click()
-    wait(browser, lambda: one(browser, f"{fold} .live svg").find_elements(By.CSS_SELECTOR, quick))
+    element(browser, f"{fold} button.entry").click()
+    wait(browser, lambda: element(browser, f"{fold} .live svg").find_elements(By.CSS_SELECTOR, quick))
 
 
 def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chrome, page: str) -> None:
@@ -146,7 +146,7 @@ def test_a_chart_becomes_live_in_view_and_takes_the_place_of_its_drawing(
 
 
 def test_a_live_chart_has_the_name_of_its_drawing(browser: webdriver.Chrome) -> None:
-    live, drawing = (one(browser, f".chart {part}") for part in (".live", ".static"))
+    live, drawing = (element(browser, f".chart {part}") for part in (".live", ".static"))
     assert live.get_attribute("aria-label") == drawing.get_attribute("aria-label") != ""
     assert live.get_attribute("role") == drawing.get_attribute("role") == "img"
     assert live.get_attribute("tabindex") == "0"
@@ -157,8 +157,8 @@ def test_a_browser_that_cannot_inflate_keeps_the_drawings(chromium: webdriver.Ch
     script = chromium.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", source)
     try:
         open_page(chromium, page)
-        assert one(chromium, ".chart .static").is_displayed()
-        assert not one(chromium, ".tools").is_displayed()
+        assert element(chromium, ".chart .static").is_displayed()
+        assert not element(chromium, ".tools").is_displayed()
         assert not chromium.find_elements(By.CSS_SELECTOR, ".live, button.entry")
         assert chromium.get_log("browser") == []
     finally:
@@ -169,7 +169,7 @@ def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
     browser: webdriver.Chrome,
 ) -> None:
     before = lines_drawn(browser)
-    entry = one(browser, "button.entry[data-name=c1]")
+    entry = element(browser, "button.entry[data-name=c1]")
     entry.click()
     wait(browser, lambda: lines_drawn(browser) == before - 1)
     pressed = {
@@ -181,7 +181,7 @@ def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
     dots = "path[fill='var(--c1)']"
     wait(browser, lambda: not strip.find_elements(By.CSS_SELECTOR, f".live {dots}"))
     assert strip.find_elements(By.CSS_SELECTOR, f".static {dots}")
-    one(browser, "button.entry[data-name=c1]").send_keys(Keys.SPACE)
+    element(browser, "button.entry[data-name=c1]").send_keys(Keys.SPACE)
     make_live(browser, ".chart")
     wait(browser, lambda: lines_drawn(browser) == before)
     make_live(browser, "[data-view$=spread-0-1]")
@@ -189,14 +189,14 @@ def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
 
 
 def test_the_legend_says_which_run_did_not_complete(browser: webdriver.Chrome) -> None:
-    assert "(diverged)" in one(browser, "button.entry[data-name=c2]").text
-    assert "(diverged)" not in one(browser, "button.entry[data-name=c0]").text
+    assert "(diverged)" in element(browser, "button.entry[data-name=c2]").text
+    assert "(diverged)" not in element(browser, "button.entry[data-name=c0]").text
 
 
 def test_the_pointer_reads_all_controllers_at_the_nearest_sample(browser: webdriver.Chrome) -> None:
-    chart = one(browser, ".chart .live")
+    chart = element(browser, ".chart .live")
     ActionChains(browser).move_to_element(chart).perform()
-    reading = one(browser, ".chart .reading")
+    reading = element(browser, ".chart .reading")
     wait(browser, reading.is_displayed)
     first, *lines = reading.text.split("\n")
     assert first.startswith("t = ")
@@ -205,27 +205,27 @@ def test_the_pointer_reads_all_controllers_at_the_nearest_sample(browser: webdri
 
 
 def test_the_keyboard_reads_values_too(browser: webdriver.Chrome) -> None:
-    chart = one(browser, ".chart .live")
+    chart = element(browser, ".chart .live")
     chart.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
-    wait(browser, lambda: "t = 0.2" in one(browser, ".chart .reading").text)
-    said = one(browser, "[role=status]").get_property("textContent")
+    wait(browser, lambda: "t = 0.2" in element(browser, ".chart .reading").text)
+    said = element(browser, "[role=status]").get_property("textContent")
     assert str(said).startswith("t = 0.2")
     assert "Quick" in str(said)
     chart.send_keys(Keys.END)
-    wait(browser, lambda: "t = 6" in one(browser, ".chart .reading").text)
+    wait(browser, lambda: "t = 6" in element(browser, ".chart .reading").text)
     whole = time_labels(browser)
     chart.send_keys(Keys.HOME, "+", "+", "+")
     wait(browser, lambda: time_labels(browser) != whole)
     chart.send_keys(Keys.ESCAPE)
     wait(browser, lambda: time_labels(browser) == whole)
-    assert not one(browser, ".chart .reading").is_displayed()
+    assert not element(browser, ".chart .reading").is_displayed()
 
 
 def test_the_keyboard_goes_from_mark_to_mark(browser: webdriver.Chrome) -> None:
     strip = make_live(browser, "[data-view$=spread-0-1]")
     strip.find_element(By.CSS_SELECTOR, ".live").send_keys(Keys.HOME, Keys.ARROW_RIGHT)
     wait(browser, lambda: "Quick, seed" in strip.find_element(By.CSS_SELECTOR, ".reading").text)
-    assert "Quick, seed" in str(one(browser, "[role=status]").get_property("textContent"))
+    assert "Quick, seed" in str(element(browser, "[role=status]").get_property("textContent"))
 
 
 def value_labels(browser: webdriver.Chrome) -> list[float]:
@@ -252,7 +252,7 @@ def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
     make_live(chromium, ".chart")
     assert max(value_labels(chromium)) <= 25.0
     for name in ("c0", "c2"):
-        one(chromium, f"button.entry[data-name={name}]").click()
+        element(chromium, f"button.entry[data-name={name}]").click()
     wait(chromium, lambda: max(value_labels(chromium)) >= 600.0)
 
 
@@ -263,9 +263,9 @@ def drag(browser: webdriver.Chrome, chart: WebElement) -> None:
 
 def test_a_drag_zooms_and_a_button_or_a_double_click_resets(browser: webdriver.Chrome) -> None:
     whole = time_labels(browser)
-    reset = one(browser, ".chart .reset")
+    reset = element(browser, ".chart .reset")
     assert not reset.is_displayed()
-    chart = one(browser, ".chart .live")
+    chart = element(browser, ".chart .live")
     drag(browser, chart)
     wait(browser, lambda: time_labels(browser) != whole)
     reset.click()
@@ -289,8 +289,8 @@ def test_zoomed_errors_are_not_flattened_by_the_transients(browser: webdriver.Ch
             "return [...arguments[0].querySelectorAll('.role-axis-label')]"
             ".map((axis) => [...axis.querySelectorAll('text')].map((text) => text.textContent))"
         )
-        found: list[list[str]] = browser.execute_script(script, chart)
-        return found
+        texts: list[list[str]] = browser.execute_script(script, chart)
+        return texts
 
     def largest() -> float:
         return max(float(text.replace("\u2212", "-")) for text in labels()[1])
@@ -302,13 +302,13 @@ def test_zoomed_errors_are_not_flattened_by_the_transients(browser: webdriver.Ch
 
 
 def touch(browser: webdriver.Chrome, kind: str, *points: tuple[float, float]) -> None:
-    found = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
-    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": found})
+    touched = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": touched})
 
 
 def test_fingers_read_zoom_and_scroll(browser: webdriver.Chrome) -> None:
     whole = time_labels(browser)
-    chart, reading = one(browser, ".chart .live"), one(browser, ".chart .reading")
+    chart, reading = element(browser, ".chart .live"), element(browser, ".chart .reading")
     script = "const b = arguments[0].getBoundingClientRect(); return [b.left, b.top, b.width, b.height]"
     left, top, width, height = browser.execute_script(script, chart)
     middle = left + width / 2, top + height / 2
@@ -334,9 +334,9 @@ def test_fingers_read_zoom_and_scroll(browser: webdriver.Chrome) -> None:
     still = "const y = scrollY; setTimeout(() => arguments[0](scrollY === y), 100)"
     wait(browser, lambda: browser.execute_async_script(still))  # a page that still glides cannot be clicked
     make_live(browser, ".chart")
-    one(browser, ".chart .reset").click()
+    element(browser, ".chart .reset").click()
     wait(browser, lambda: time_labels(browser) == whole)
-    entry = one(browser, "button.entry[data-name=c1]")
+    entry = element(browser, "button.entry[data-name=c1]")
     lines = lines_drawn(browser)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", entry)
     left, top, width, height = browser.execute_script(script, entry)
@@ -352,7 +352,7 @@ def test_the_page_of_a_simulation_answers_in_the_same_way(chromium: webdriver.Ch
     open_page(chromium, write_simulation(simulation, tmp_path / "page.html").as_uri())
     chart = make_live(chromium, ".chart").find_element(By.CSS_SELECTOR, ".live")
     chart.send_keys(Keys.END)
-    assert "lag.fmu" in one(chromium, ".chart .reading").text
+    assert "lag.fmu" in element(chromium, ".chart .reading").text
     assert len(chromium.find_elements(By.CSS_SELECTOR, ".chart")) == 2
     whole = time_labels(chromium)
     drag(chromium, chart)
@@ -364,14 +364,14 @@ def saved(browser: webdriver.Chrome, kind: str, folder: Path) -> bytes:
     """Return the first figure as the page saves it."""
     place = {"behavior": "allow", "downloadPath": str(folder)}
     browser.execute_cdp_cmd("Browser.setDownloadBehavior", place)
-    one(browser, f"figure [data-save={kind}]").click()
+    element(browser, f"figure [data-save={kind}]").click()
     (path,) = wait(browser, lambda: list(folder.glob(f"*.{kind}")))
-    assert path.name.endswith(f"-{one(browser, 'figure').get_attribute('id')}.{kind}")
+    assert path.name.endswith(f"-{element(browser, 'figure').get_attribute('id')}.{kind}")
     return bytes(path.read_bytes())
 
 
 def test_a_figure_is_saved_as_a_file_that_stands_alone(browser: webdriver.Chrome, tmp_path: Path) -> None:
-    one(browser, "button.entry[data-name=c1]").click()
+    element(browser, "button.entry[data-name=c1]").click()
     svg = saved(browser, "svg", tmp_path)
     root = ElementTree.fromstring(svg)
     names = "".join(root.itertext())
@@ -398,11 +398,11 @@ def test_pointing_at_a_dot_of_the_strip_names_its_seed(browser: webdriver.Chrome
     strip = make_live(browser, "[data-view$=spread-0-1]")
     dot = strip.find_element(By.CSS_SELECTOR, ".live path[fill='var(--c0)']")
     ActionChains(browser).move_to_element(dot).perform()
-    wait(browser, lambda: "Quick, seed" in one(browser, "[data-view$=spread-0-1] .reading").text)
+    wait(browser, lambda: "Quick, seed" in element(browser, "[data-view$=spread-0-1] .reading").text)
 
 
 def test_a_table_sorts_by_a_click_on_its_heading(browser: webdriver.Chrome) -> None:
-    one(browser, "#s1-ranking-table th:nth-child(3) .sort").click()
+    element(browser, "#s1-ranking-table th:nth-child(3) .sort").click()
     values = browser.execute_script(
         "return [...document.querySelectorAll('#s1-ranking-table tbody tr')]"
         ".map((row) => Number(row.cells[2].dataset.value))"
@@ -410,7 +410,7 @@ def test_a_table_sorts_by_a_click_on_its_heading(browser: webdriver.Chrome) -> N
     *known, missing = values  # of the run that failed there is no value: it stands last
     assert known == sorted(known)
     assert missing is None
-    assert one(browser, "#s1-ranking-table th:nth-child(3)").get_attribute("aria-sort") == "ascending"
+    assert element(browser, "#s1-ranking-table th:nth-child(3)").get_attribute("aria-sort") == "ascending"
 
 
 @pytest.mark.parametrize("width", [400, 1280])
@@ -431,7 +431,7 @@ def test_print_shows_the_static_figures_on_white(browser: webdriver.Chrome) -> N
     )
     assert shown == [["block", "none"]] * len(shown) != []
     # What is folded is left out, and says so where it is.
-    fold = one(browser, "details.fold:has([id$=cases])")
+    fold = element(browser, "details.fold:has([id$=cases])")
     assert fold.text == "Every case (not printed here: in metrics.csv)"
     browser.execute_script("arguments[0].open = true", fold)
     assert fold.text == "Every case (not printed here: in metrics.csv)"
@@ -479,7 +479,7 @@ def test_text_has_enough_contrast(browser: webdriver.Chrome, scheme: str) -> Non
 
 
 def test_the_theme_can_be_chosen(browser: webdriver.Chrome) -> None:
-    button = one(browser, "button.theme")
+    button = element(browser, "button.theme")
     button.click()
     button.click()
     assert button.text == "Theme: dark"
@@ -496,6 +496,6 @@ def test_without_javascript_the_static_figures_are_there(chromium: webdriver.Chr
         assert len(drawings) == 5
         assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
         assert not chromium.find_elements(By.CSS_SELECTOR, ".live, :disabled")
-        assert not one(chromium, ".tools").is_displayed()
+        assert not element(chromium, ".tools").is_displayed()
     finally:
         chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})

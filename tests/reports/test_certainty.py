@@ -54,24 +54,26 @@ def plain(statements: list) -> dict[str, str]:  # type: ignore[type-arg]
 
 
 def test_the_figures_of_the_table_are_those_of_the_cases(results: StudyResults) -> None:
-    found = rows(table_of(results))
-    first, second, last = found
+    shown = rows(table_of(results))
+    first, second, last = shown
     assert {first, second} == {"quick", "alike"}
     assert last == "slow"
-    own, best = values(results, "slow"), values(results, first)
-    runs, middle, interval, difference, _, p, ahead, letters = found["slow"].cells
-    assert (runs.text, middle.raw, difference.raw) == ("12 of 12", median(own), median(own - best))
+    slow, best = values(results, "slow"), values(results, first)
+    runs, middle, interval, difference, _, p, ahead, letters = shown["slow"].cells
+    assert (runs.text, middle.raw, difference.raw) == ("12 of 12", median(slow), median(slow - best))
     low, high = map(float, str(interval.raw).split(" … "))
-    drawn = bootstrap((own,), np.median, method="percentile", n_resamples=20000, rng=np.random.default_rng(0))
-    step = np.diff(np.sort(own)).max()
+    drawn = bootstrap(
+        (slow,), np.median, method="percentile", n_resamples=20000, rng=np.random.default_rng(0)
+    )
+    step = np.diff(np.sort(slow)).max()
     assert abs(low - drawn.confidence_interval.low) <= step / 2
     assert abs(high - drawn.confidence_interval.high) <= step / 2
     # Of the 4096 ways to give twelve differences signs, only these and their opposites are as extreme.
     assert p.raw == 2 / 4096
     assert (ahead.text, ahead.raw, letters.text) == ("0 of 12", 0.0, "b")
-    assert [found[key].cells[7].text for key in (first, second)] == ["a", "a"]
+    assert [shown[key].cells[7].text for key in (first, second)] == ["a", "a"]
     alone = permutation_test((values(results, second) - best,), np.mean, permutation_type="samples")
-    assert found[second].cells[5].raw == pytest.approx(alone.pvalue)
+    assert shown[second].cells[5].raw == pytest.approx(alone.pvalue)
 
 
 def test_who_is_not_told_apart_is_not_crowned(results: StudyResults) -> None:
@@ -106,9 +108,9 @@ def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeR
         return trace_of(key, seed)
 
     results = make_results(failing, THREE, seeds=SEEDS)
-    found = rows(table_of(results))
-    assert list(found) == ["alike", "slow", "quick"]
-    runs, *_, p, ahead, letters = found["quick"].cells
+    shown = rows(table_of(results))
+    assert list(shown) == ["alike", "slow", "quick"]
+    runs, *_, p, ahead, letters = shown["quick"].cells
     assert (runs.text, p.text, letters.text) == ("11 of 12", MISSING, MISSING)
     assert ahead.text.endswith(" of 11")
 

@@ -34,7 +34,7 @@ def controllers(**tuned: Any) -> dict[str, dict[str, Any]]:
     }
 
 
-def told(results: StudyResults) -> dict[str, str]:
+def fairness(results: StudyResults) -> dict[str, str]:
     """Return what the page says under Fairness, by topic, as a reader sees it."""
     page = render_page([results])
     section = re.search(r'<h2 id="s1-fairness">.*?</section>', page, re.DOTALL)
@@ -53,13 +53,13 @@ def test_a_crash_does_not_make_a_controller_one_without_preview_and_recording(
         crashed = replace(make_trace(0.3, noise_seed=seed), outcome=Outcome.CRASHED, reason="SIGSEGV")
         return crashed if key == "data" else run(key, seed)
 
-    said = told(make_results(trace_of, controllers()))
+    said = fairness(make_results(trace_of, controllers()))
     assert "of Data-driven it is not known how far ahead the reference was seen" in said["Preview"]
     assert "of Data-driven it is not known whether a recording was learned from" in said["Recording"]
 
 
 def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults) -> None:
-    said = told(make_results(run, controllers(data=TUNED)))
+    said = fairness(make_results(run, controllers(data=TUNED)))
     assert said == {
         "Preview": "Data-driven and <b>Their</b> & own see 5 samples of the future reference (0.5\xa0s); "
         "Model-based sees 1 sample of the future reference (0.1\xa0s).",
@@ -79,7 +79,7 @@ def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults)
 
 def test_what_holds_for_all_is_told_once(make_results: MakeResults) -> None:
     alike = KNOWN["data"]
-    said = told(
+    said = fairness(
         make_results(
             lambda key, seed: replace(make_trace(0.3), **alike),
             controllers(**dict.fromkeys(LABELS, TUNED | {"trials": 1, "seeds": [3], "source": "a file"})),
@@ -105,7 +105,7 @@ def test_most_controllers_are_all_others_and_nobody_is_among_them_of_whom_nothin
         knowledge = {"d": {"measures": "speed"}, "e": {}}.get(key, {"measures": "angle"})
         return replace(make_trace(0.3), preview=5, knowledge=knowledge)
 
-    said = told(make_results(trace_of, {key: {"type": key} for key in keys}))["Measurements"]
+    said = fairness(make_results(trace_of, {key: {"type": key} for key in keys}))["Measurements"]
     assert said == (
         "Measured for every controller: angle. d uses speed; of e it is not known which of them are used; "
         "all others use angle."
@@ -119,20 +119,20 @@ def test_limits_that_differ_are_told_of_each_signal(make_results: MakeResults) -
         wide = Bounds(bounds.u_min, bounds.u_max, 2 * bounds.y_min, 2 * bounds.y_max)
         return replace(trace, bounds=wide) if key == "model" else trace
 
-    assert told(make_results(limited, controllers()))["Limits"] == (
+    assert fairness(make_results(limited, controllers()))["Limits"] == (
         "Limits of angle differ: Data-driven and <b>Their</b> & own have \N{MINUS SIGN}70 … 70°; "
         "Model-based has \N{MINUS SIGN}140 … 140°."
     )
 
 
 def test_an_unlimited_view_of_nothing_is_told_as_such(make_results: MakeResults) -> None:
-    said = told(make_results(lambda key, seed: replace(run(key, seed), preview=0), controllers()))
+    said = fairness(make_results(lambda key, seed: replace(run(key, seed), preview=0), controllers()))
     assert said["The same for all"].startswith("All controllers see no future reference.")
 
 
 def test_results_on_seeds_of_the_tuning_are_told(make_results: MakeResults) -> None:
     """With run --seeds a study can be reported on other seeds than its own."""
-    said = told(make_results(run, controllers(data=TUNED), seeds=[5, 101, 102]))
+    said = fairness(make_results(run, controllers(data=TUNED), seeds=[5, 101, 102]))
     assert ", seeds of the tuning reported here: 101\N{EN DASH}102" in said["Tuning"]
 
 
@@ -140,7 +140,7 @@ def test_settings_that_name_the_plant_s_own_fmu_are_told(make_results: MakeResul
     sections = controllers()
     for key in ("model", "own"):
         sections[key]["settings"] = {"model": {"type": "x", "files": ["{plant}"]}}
-    said = told(make_results(run, sections))["Prior knowledge"]
+    said = fairness(make_results(run, sections))["Prior knowledge"]
     named = "its settings name the FMU of the plant itself"
     assert f"a linear model, by FMUModel; {named}" in said
     assert f"Their</b> & own was told beforehand of the plant: something not known; {named}" in said
@@ -154,7 +154,7 @@ def test_a_stabiliser_of_the_recording_is_told(make_results: MakeResults) -> Non
         "controller": stabiliser,
     }
     loop = {"sampling_time": 0.1, "duration": 6.0, "start": "recording-end"}
-    said = told(make_results(run, controllers(), recording=recording, loop=loop))["Recording"]
+    said = fairness(make_results(run, controllers(), recording=recording, loop=loop))["Recording"]
     assert "kept by a stabilising controller that the study gives, pid with kp = 2: whoever" in said
     assert said.endswith(" Every loop starts where its recording ended.")
 
@@ -165,7 +165,7 @@ def test_of_runs_without_a_sample_nothing_is_known(make_results: MakeResults) ->
         none = {name: getattr(trace, name)[:0] for name in ("time", "reference", "y", "measured", "u")}
         return replace(trace, **none, status=(), solve_time=trace.solve_time[:0])
 
-    said = told(make_results(lost, controllers()))
+    said = fairness(make_results(lost, controllers()))
     assert "The same for all" not in said
     assert said["Preview"] == "Of all controllers it is not known how far ahead the reference was seen."
     assert said["Limits"] == "No run tells the limits."
@@ -174,10 +174,10 @@ def test_of_runs_without_a_sample_nothing_is_known(make_results: MakeResults) ->
 
 def test_settings_of_a_publication_are_told_by_their_source(make_results: MakeResults) -> None:
     table = {"source": "Table 1 of the paper"}
-    everyone = told(make_results(run, controllers(**dict.fromkeys(LABELS, table))))
+    everyone = fairness(make_results(run, controllers(**dict.fromkeys(LABELS, table))))
     assert "All controllers have settings from Table 1 of the paper." in everyone["The same for all"]
     assert "Tuning" not in everyone
-    some = told(make_results(run, controllers(data=table, model=TUNED)))["Tuning"]
+    some = fairness(make_results(run, controllers(data=table, model=TUNED)))["Tuning"]
     assert some.startswith(
         "Data-driven has settings from Table 1 of the paper; Model-based has settings found"
     )

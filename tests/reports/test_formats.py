@@ -91,10 +91,10 @@ def cells_of(table: html.HtmlElement) -> list[list[str]]:
 def test_the_tables_are_those_of_the_page(reports: dict[str, str], data: dict[str, Any]) -> None:
     page = html.document_fromstring(reports["html"])
     assert len(tables(data)) > 8
-    for one in tables(data):
-        (there,) = page.xpath(f'//table[@id="{one["id"]}-table"]')
-        told = [[row["header"], *(cell["text"] for cell in row["cells"])] for row in one["rows"]]
-        for shown, texts in zip(cells_of(there), told, strict=True):
+    for table in tables(data):
+        (there,) = page.xpath(f'//table[@id="{table["id"]}-table"]')
+        expected = [[row["header"], *(cell["text"] for cell in row["cells"])] for row in table["rows"]]
+        for shown, texts in zip(cells_of(there), expected, strict=True):
             for full, text in zip(shown, texts, strict=True):
                 assert full.startswith(words(text))
     titles = [section["title"] for section in data["parts"][0]["sections"]]
@@ -109,12 +109,12 @@ def test_markdown_has_the_same_tables_and_shows_texts_as_they_are(
         MarkdownIt("commonmark", {"html": True}).enable("table").render(reports["md"])
     )
     assert not page.xpath("//script | //a | //code | //img")
-    found = page.xpath("//table")
-    assert len(found) == len(tables(data))
-    for there, one in zip(found, tables(data), strict=True):
-        assert len(there.xpath("./thead/tr/th")) == len(one["columns"])
+    shown_tables = page.xpath("//table")
+    assert len(shown_tables) == len(tables(data))
+    for there, table in zip(shown_tables, tables(data), strict=True):
+        assert len(there.xpath("./thead/tr/th")) == len(table["columns"])
         rows = [row for row in cells_of(there) if any(row[1:])]
-        for shown, row in zip(rows, one["rows"], strict=True):
+        for shown, row in zip(rows, table["rows"], strict=True):
             assert shown[0] == words(row["header"])
             assert [text.partition(";")[0] for text in shown[1:]] == [
                 words(cell["text"]).partition(";")[0] for cell in row["cells"]
@@ -134,19 +134,25 @@ def test_rankings_and_statistics_follow_from_the_cases(results: StudyResults, da
     key = "mean_abs_error.angle [deg]"
     (ranking,) = data["results"][0]["rankings"]
     assert (ranking["metrics"], ranking["seeds"]) == ([key], 7)
-    assert [(one["controller"], one["rank"], one["failed"]) for one in ranking["order"]] == [
+    assert [
+        (standing["controller"], standing["rank"], standing["failed"]) for standing in ranking["order"]
+    ] == [
         ("quick", 1, 0),
         ("slow", 2, 2),
     ]
-    for one in ranking["order"]:
-        own = metrics[(metrics["controller"] == one["controller"]) & ~metrics["failed"]]
-        by_seed = own.groupby("seed")[key].median()
-        assert one["medians"] == [pytest.approx(by_seed.median(), rel=1e-12)]
+    for standing in ranking["order"]:
+        of_controller = metrics[(metrics["controller"] == standing["controller"]) & ~metrics["failed"]]
+        by_seed = of_controller.groupby("seed")[key].median()
+        assert standing["medians"] == [pytest.approx(by_seed.median(), rel=1e-12)]
     statistics = pd.DataFrame(data["statistics"]["rows"], columns=data["statistics"]["columns"])
     rows = statistics[(statistics["metric"] == "rmse") & (statistics["scenario"] == "windy")]
     for _, row in rows.iterrows():
-        own = metrics[(metrics["controller"] == row["controller"]) & (metrics["scenario"] == "windy")]
-        assert row["median"] == pytest.approx(own.loc[~own["failed"], "rmse.angle [deg]"].median(), rel=1e-12)
+        of_controller = metrics[
+            (metrics["controller"] == row["controller"]) & (metrics["scenario"] == "windy")
+        ]
+        assert row["median"] == pytest.approx(
+            of_controller.loc[~of_controller["failed"], "rmse.angle [deg]"].median(), rel=1e-12
+        )
     assert not any(isinstance(value, float) and math.isinf(value) for row in rows.values for value in row)
 
 

@@ -69,8 +69,10 @@ def test_nothing_that_others_write_acts_and_all_of_it_can_be_read(
     assert chromium.get_log("browser") == []  # an alert would have ended the session before
     assert not chromium.find_elements(By.CSS_SELECTOR, "main img, main script, svg[onload]")
     heads = chromium.find_elements(By.CSS_SELECTOR, "th[scope=row]")
-    told = {str(e.get_attribute("title")) for head in heads for e in head.find_elements(By.TAG_NAME, "span")}
-    assert f"evil {EVIL}" in told
+    titles = {
+        str(e.get_attribute("title")) for head in heads for e in head.find_elements(By.TAG_NAME, "span")
+    }
+    assert f"evil {EVIL}" in titles
 
 
 @pytest.mark.parametrize("width", [400, 1280])

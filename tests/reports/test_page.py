@@ -203,7 +203,7 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
     tables = [base64.b64decode(link.partition(",")[2]).decode() for link in links]
     screen = Console(file=io.StringIO(), width=500)
     screen.print(summary_table(results, screen))
-    for remark in [one for found in results.findings().values() for one in found.remarks]:
+    for remark in [remark for findings in results.findings().values() for remark in findings.remarks]:
         screen.print(printable(remark.text))
     assert isinstance(screen.file, io.StringIO)
     write_results(results)
@@ -216,7 +216,7 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
     }
     assert "\\u202e" in shown["page"]
     assert "\\u202e" in shown["tables"]
-    assert {what: found for what, text in shown.items() if (found := set(acting) & set(text))} == {}
+    assert {what: common for what, text in shown.items() if (common := set(acting) & set(text))} == {}
     assert "<script>alert" not in page
     assert not reader.all("img")
 
@@ -296,8 +296,8 @@ def test_panels_of_the_study_are_kept_in_all_figures(make_results: MakeResults, 
 
 
 def test_several_studies_share_one_list_of_contents(make_results: MakeResults, tmp_path: Path) -> None:
-    one, two = make_results(title="Study one"), make_results(title="Study two")
-    reader = Reader(written(tmp_path, one, two))
+    first, second = make_results(title="Study one"), make_results(title="Study two")
+    reader = Reader(written(tmp_path, first, second))
     assert [text for level, text in reader.headings if level <= 2] == [
         "2 studies compared",
         "Study one",
@@ -434,9 +434,9 @@ def test_what_fails_costs_the_page_its_own_place(
         return fail() if arguments[2] == "Control signals" else time_figure(*arguments)  # type: ignore[return-value]
 
     monkeypatch.setattr(over_time, "_time_figure", fail_for_inputs)
-    with pytest.warns(CosimWarning, match="cannot be shown: KeyError: 'broken'") as told:
+    with pytest.warns(CosimWarning, match="cannot be shown: KeyError: 'broken'") as warned:
         page = Reader(written(tmp_path, make_results()))
-    assert len(told) == 2
+    assert len(warned) == 2
     assert page.headings == sound.headings
     for what in ("Every case", "Control signals"):
         assert f"{what}: cannot be shown: KeyError: 'broken'" in page.text
@@ -454,8 +454,8 @@ def test_a_picture_that_cannot_be_drawn_is_a_sentence(
         monkeypatch.setattr(drawing, "_CODE", code)
         monkeypatch.setattr(drawing, "_painter", drawing._Painter())
         page = Reader(written(tmp_path, make_results()))
-        told = page.text.count(f"This picture could not be drawn: the process that draws {words}")
-        assert told == len(page.all("figure")) > 0
+        count = page.text.count(f"This picture could not be drawn: the process that draws {words}")
+        assert count == len(page.all("figure")) > 0
         assert json.loads(page.json) == sound | {"views": {}}
 
 
@@ -487,13 +487,13 @@ def test_pictures_are_drawn_once_and_without_a_cache_every_time(
     drawn = []
     draw = drawing._Painter.draw
     monkeypatch.setattr(drawing._Painter, "draw", lambda *given: drawn.append(given) or draw(*given))
-    monkeypatch.setattr(drawing, "_MOST_KEPT", 8)
+    monkeypatch.setattr(drawing, "_MOST_CACHED", 8)
     monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
     page = written(tmp_path, make_results())
     pictures = len(json.loads(Reader(page).json)["views"])
     assert len(drawn) == pictures
     assert len(list((tmp_path / "cache" / "pictures").iterdir())) <= 8
-    monkeypatch.setattr(drawing, "_MOST_KEPT", 1000)
+    monkeypatch.setattr(drawing, "_MOST_CACHED", 1000)
     assert written(tmp_path, make_results()) == page
     drawn.clear()
     assert written(tmp_path, make_results()) == page
@@ -519,4 +519,4 @@ def test_a_page_that_cannot_be_written_leaves_the_older_one(
     with pytest.raises(OSError, match="No space left"):
         write_report([results], path)
     assert path.read_bytes() == before
-    assert [one.name for one in tmp_path.glob("*report*")] == ["report.html"]
+    assert [file.name for file in tmp_path.glob("*report*")] == ["report.html"]

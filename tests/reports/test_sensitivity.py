@@ -41,8 +41,8 @@ def sections() -> dict[str, dict[str, Any]]:
         }
         for n in (3, 5)
     }
-    own = {"a": 1, "b": 2, "c": {"type": "module:C", "count": 5, "low": 0.0}}
-    return {"slow": {"type": "slow", "label": "Slow", "settings": own}} | varied | objects
+    settings = {"a": 1, "b": 2, "c": {"type": "module:C", "count": 5, "low": 0.0}}
+    return {"slow": {"type": "slow", "label": "Slow", "settings": settings}} | varied | objects
 
 
 def trace_of(key: str, seed: int) -> Trace:
@@ -64,7 +64,7 @@ def rows_of(results: StudyResults, number: int) -> list[dict[str, Any]]:
 
 def test_variants_are_no_competitors(results: StudyResults) -> None:
     (condition,) = conditions(results)
-    assert [one.key for one in condition.controllers] == ["slow"]
+    assert [controller.key for controller in condition.controllers] == ["slow"]
     assert len(condition.variants) == 6
 
 
@@ -72,8 +72,11 @@ def test_controllers_beside_a_sweep_have_colours_of_their_own(tmp_path: Path) ->
     controllers = sections() | {"other": {"type": "x"}}
     results = make_results_in(tmp_path, lambda key, seed: make_trace(0.5), controllers)
     (condition,) = conditions(results)
-    assert {one.key: one.index for one in condition.controllers} == {"slow": 0, "other": 1}
-    assert {one.index for one in condition.variants} == {0}
+    assert {controller.key: controller.index for controller in condition.controllers} == {
+        "slow": 0,
+        "other": 1,
+    }
+    assert {variant.index for variant in condition.variants} == {0}
 
 
 def test_the_verdict_names_best_and_worst_settings_and_those_that_failed(results: StudyResults) -> None:

@@ -74,21 +74,21 @@ def test_shares_are_those_of_the_metrics_file(results: StudyResults, seen: Condi
 
 
 def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
-    assert [one.label.replace("\u00a0", " ") for one in seen.controllers] == [
+    assert [controller.label.replace("\u00a0", " ") for controller in seen.controllers] == [
         *("Good", "Fair", "Poor"),
         *("Ideal (100 %)", "Rest (0 %)"),
     ]
-    assert [one.key for _, one in seen.ranking(KEY)] == ["good", "fair"]
+    assert [controller.key for _, controller in seen.ranking(KEY)] == ["good", "fair"]
     assert seen.compared(KEY).order == ("good", "fair")
-    assert [one.key for one in seen.not_ranked] == ["poor"]
-    told = texts([*share_statements(seen), *findings_of(seen)])
-    assert told["Distance"].startswith(
+    assert [controller.key for controller in seen.not_ranked] == ["poor"]
+    statements = texts([*share_statements(seen), *findings_of(seen)])
+    assert statements["Distance"].startswith(
         "Of the way from Rest (0 %) to Ideal (100 %), which do not compete: Good "
     )
-    assert told["Distance"].endswith("; worse than at 0 %, or failed: Poor.")
-    assert told["Tracking"].startswith("On seed 0, Good tracks best")
-    assert "failed: Poor 8 of 8." in told["Completed"]
-    assert "Rest" not in told["Step time"].partition("No step")[0]
+    assert statements["Distance"].endswith("; worse than at 0 %, or failed: Poor.")
+    assert statements["Tracking"].startswith("On seed 0, Good tracks best")
+    assert "failed: Poor 8 of 8." in statements["Completed"]
+    assert "Rest" not in statements["Step time"].partition("No step")[0]
     marks = {row.key for row in ranked(seen).rows if any(cell.best for cell in row.cells)}
     assert not marks & {"ideal", "rest"}
 
@@ -128,21 +128,21 @@ def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> N
         )
         for n in range(3)
     ]
-    found = overall(problems)
-    assert found
-    assert found.distances
-    assert list(found.told.ranks.ranks) == ["good", "fair", "poor"]
-    told = texts(overall_statements(found))
-    good = [100 * found.distances.problems[name]["good"].median for name in ("p0", "p1", "p2")]
-    assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in told["Distance"]
-    assert "; Fair 83 % (from failed in p2 to 84 % in p0); Poor failed." in told["Distance"]
-    assert told["Which where"].startswith("p0: Good")
-    assert "Good a median step time of 40.0 µs, no recording, 1" in told["Cost"]
-    table = overall_table(found, "")
+    comparison = overall(problems)
+    assert comparison
+    assert comparison.distances
+    assert list(comparison.findings.ranks.ranks) == ["good", "fair", "poor"]
+    statements = texts(overall_statements(comparison))
+    good = [100 * comparison.distances.problems[name]["good"].median for name in ("p0", "p1", "p2")]
+    assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in statements["Distance"]
+    assert "; Fair 83 % (from failed in p2 to 84 % in p0); Poor failed." in statements["Distance"]
+    assert statements["Which where"].startswith("p0: Good")
+    assert "Good a median step time of 40.0 µs, no recording, 1" in statements["Cost"]
+    table = overall_table(comparison, "")
     assert [row.key for row in table.rows] == ["good", "fair", "poor", "ideal", "rest"]
     assert cells(table, "average rank")["ideal"] == "\N{EN DASH}"
     assert cells(table, "share of the way least (%)")["fair"] == "failed"
-    where = distance_maps(found.distances, "")[0]
+    where = distance_maps(comparison.distances, "")[0]
     assert cells(where, "p2") == {"good": f"{good[2]:.0f}", "fair": "failed", "poor": "failed"}
 
 
@@ -154,7 +154,7 @@ def test_who_ran_in_some_problems_has_no_share_over_all(make_results: MakeResult
         return make_trace(slow.get(key, LAGS.get(key, 1.0)) if n == 2 else LAGS[key])
 
     guest = FIVE | {"guest": {"type": "guest", "label": "Guest"}}
-    found = overall(
+    comparison = overall(
         [
             make_results(
                 lambda key, seed, n=n: run(n, key), guest if n == 2 else FIVE, name=f"p{n}", report=POINTS
@@ -162,16 +162,16 @@ def test_who_ran_in_some_problems_has_no_share_over_all(make_results: MakeResult
             for n in range(3)
         ]
     )
-    assert found
-    assert found.distances
-    assert found.left_out == []
-    assert "guest" in found.distances.problems["p2"]
-    assert list(found.distances.overall) == ["good", "fair", "poor"]
-    told = texts(overall_statements(found))
-    assert "in the median of 3 problems: Good" in told["Distance"]
-    assert "Guest" not in told["Distance"]
-    assert "p2: Guest 1" in told["Which where"]
-    table = overall_table(found, "")
+    assert comparison
+    assert comparison.distances
+    assert comparison.left_out == []
+    assert "guest" in comparison.distances.problems["p2"]
+    assert list(comparison.distances.overall) == ["good", "fair", "poor"]
+    statements = texts(overall_statements(comparison))
+    assert "in the median of 3 problems: Good" in statements["Distance"]
+    assert "Guest" not in statements["Distance"]
+    assert "p2: Guest 1" in statements["Which where"]
+    table = overall_table(comparison, "")
     assert cells(table, "share of the way median (%)")["guest"] == "\N{EN DASH}"
     assert cells(table, "share of the way most (%)")["guest"] != "\N{EN DASH}"
 
@@ -183,13 +183,13 @@ def test_the_largest_median_is_not_ahead_where_the_pairs_say_otherwise(make_resu
     def run(key: str, seed: int) -> Trace:
         return make_trace(0.4 + 0.02 * lags[key][seed] if key in lags else LAGS[key])
 
-    found = overall(
+    comparison = overall(
         [make_results(run, FIVE, name=name, seeds=[*range(9)], report=POINTS) for name in ("p0", "p1")]
     )
-    assert found
-    told = texts(overall_statements(found))["Which where"]
-    assert "which the seeds do not show to be ahead of Fair." in told
-    assert "Poor" not in told
+    assert comparison
+    sentence = texts(overall_statements(comparison))["Which where"]
+    assert "which the seeds do not show to be ahead of Fair." in sentence
+    assert "Poor" not in sentence
 
 
 def test_an_interval_of_failed_runs_alone_is_not_said_to_be_exact(make_results: MakeResults) -> None:
@@ -209,8 +209,8 @@ def test_a_page_of_many_problems_keeps_what_is_over_all(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = [make_results(run_of, FIVE, name=f"p{n}", report=POINTS) for n in range(2)]
-    cases = tuple(replace(case, problem=one.study.name) for one in parts for case in one.cases)
-    whole = WholeStudy(StudyHead(name="both"), {one.study.name: one.study for one in parts})
+    cases = tuple(replace(case, problem=part.study.name) for part in parts for case in part.cases)
+    whole = WholeStudy(StudyHead(name="both"), {part.study.name: part.study for part in parts})
     both = StudyResults(parts[0].folder, whole, cases, {})
     page = render_page([both])
     assert all(

@@ -61,7 +61,7 @@ def test_the_section_of_the_documentation_is_in_every_format(
     files = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL))
     (site / "ddpc_worst_seeds.py").write_text(files["ddpc_worst_seeds.py"], encoding="utf-8")
     install(site, **tomllib.loads(files["pyproject.toml"])["project"]["entry-points"]["ddpc_cosim.reports"])
-    (plugin,) = (one for one in installed("reports") if one.name == "worst-seeds")
+    (plugin,) = (entry for entry in installed("reports") if entry.name == "worst-seeds")
     assert describe(plugin) == ("section of the report: Worst seeds", True)
     assert {"html", "md", "csv", "json"} <= {*report_formats()}
     assert "worst-seeds" not in report_formats()
@@ -72,7 +72,7 @@ def test_the_section_of_the_documentation_is_in_every_format(
     write_metrics(results)
     metrics = pd.read_csv(results.folder / "metrics.csv")
     worst = metrics.loc[metrics.groupby("controller")["rmse.angle [deg]"].idxmax()]
-    expected = {(one["controller"], one["seed"]) for _, one in worst.iterrows()}
+    expected = {(row["controller"], row["seed"]) for _, row in worst.iterrows()}
     page = write_report([results], tmp_path / "report.html").read_text("utf-8")
     section = page[page.index('<h2 id="s1-own-worst-seeds">') :].partition("</section>")[0]
     titles = re.findall(r'aria-label="Link to this section: ([^"]*)"', page)
@@ -81,8 +81,8 @@ def test_the_section_of_the_documentation_is_in_every_format(
     assert len(re.findall("<svg(?! class=.swatch)", section)) == 1
     assert "rmse.angle [deg] of every run" in section
     read = json.loads(write_report([results], tmp_path / "report.json", "json").read_text("utf-8"))
-    (found,) = (one for one in read["parts"][0]["sections"] if one["title"] == "Worst seeds")
-    rows = found["blocks"][1]["rows"]
+    (shown,) = (section for section in read["parts"][0]["sections"] if section["title"] == "Worst seeds")
+    rows = shown["blocks"][1]["rows"]
     assert {(row["header"], int(row["cells"][1]["value"])) for row in rows} == expected
     said = write_report([results], tmp_path / "report.md", "md").read_text("utf-8")
     assert said.index("### Step response") < said.index("### Worst seeds") < said.index("### Limits and")
@@ -95,9 +95,9 @@ def test_sections_that_fail_cost_themselves_and_texts_act_on_nothing(
     (site / "other_sections.py").write_text(OTHERS, encoding="utf-8")
     names = ("failing", "quitting", "nothing", "hostile", "wrong")
     install(site, missing="nowhere:section", **{name: f"other_sections:{name}" for name in names})
-    with pytest.warns(CosimWarning) as told:
+    with pytest.warns(CosimWarning) as warnings:
         page = write_report([make_results()], tmp_path / "report.html").read_text("utf-8")
-    warned = [str(one.message) for one in told]
+    warned = [str(warning.message) for warning in warnings]
     assert "&lt;b&gt;Failing&lt;/b&gt;: cannot be shown: ValueError: nothing in data.csv" in page
     assert "Quitting: cannot be shown: PluginError: it has ended the program: SystemExit: 3" in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt; *a* \\x1b[31m" in page
@@ -106,10 +106,10 @@ def test_sections_that_fail_cost_themselves_and_texts_act_on_nothing(
     titles = re.findall(r'aria-label="Link to this section: ([^"]*)"', page)
     assert titles.index("Hostile") == titles.index("Responses") + 1
     assert titles.index("Quitting") < titles.index("Fairness and known limitations")
-    assert any("report missing (sections 1.0): ModuleNotFoundError" in one for one in warned)
+    assert any("report missing (sections 1.0): ModuleNotFoundError" in message for message in warned)
     assert any(
-        "report wrong (sections 1.0): it is a int; needed: a ddpc_cosim.ReportSection" in one
-        for one in warned
+        "report wrong (sections 1.0): it is a int; needed: a ddpc_cosim.ReportSection" in message
+        for message in warned
     )
 
 

@@ -90,8 +90,8 @@ def test_where_every_run_failed_nobody_wins(make_results: MakeResults) -> None:
     best_run = min(results.cases, key=lambda case: case.left)
     sentence = f"Every controller fails; in the best run, {best_run.failure}"
     assert re.fullmatch("angle ends 8. % of its task away from its reference", best_run.failure)
-    found = {topic: str(text) for topic, text in findings_of(only(results))}
-    assert found["Reference"] == f"<b>{sentence}</b>, so nothing is ranked."
+    texts = {topic: str(text) for topic, text in findings_of(only(results))}
+    assert texts["Reference"] == f"<b>{sentence}</b>, so nothing is ranked."
     assert {"Tracking", "Settling", "Actuator"} & statements(results).keys() == set()
     assert not any(filter(None, best(ranked(only(results))).values()))
     page = render_page([results])
@@ -345,10 +345,12 @@ def test_several_outputs_are_told_in_one_statement_each(make_results: MakeResult
         return make_trace(lag, outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE), noise_seed=seed)
 
     results = make_results(trace_of, seeds=[7, 8, 9])
-    told = statements(results)
-    assert told["Tracking"].startswith("In mean absolute error, medians over 3 seeds and ranges:angle: quick")
-    assert "speed: quick" in told["Tracking"]
-    assert "Spread" not in told
+    texts = statements(results)
+    assert texts["Tracking"].startswith(
+        "In mean absolute error, medians over 3 seeds and ranges:angle: quick"
+    )
+    assert "speed: quick" in texts["Tracking"]
+    assert "Spread" not in texts
     heads = [heading.words for heading in ranked(only(results)).headings]
     errors = [f"mean absolute error {signal}" for signal in ("angle (°)", "speed (m/s)")]
     assert heads[:4] == ["Controller", "rank", *errors]
@@ -374,9 +376,9 @@ def test_little_travel_is_no_merit_where_nothing_is_tracked(make_results: MakeRe
         trace = make_trace(0.3 if key == "quick" else 5.0)
         return replace(trace, u=trace.u * (1.0 if key == "quick" else 0.1))
 
-    told = statements(make_results(trace_of))
-    assert told["Actuator"].startswith("slow moves the actuator least")
-    assert "Its mean absolute error is far from the best, though" in told["Actuator"]
+    texts = statements(make_results(trace_of))
+    assert texts["Actuator"].startswith("slow moves the actuator least")
+    assert "Its mean absolute error is far from the best, though" in texts["Actuator"]
 
 
 def test_twins_share_the_first_place(make_results: MakeResults) -> None:
@@ -386,9 +388,9 @@ def test_twins_share_the_first_place(make_results: MakeResults) -> None:
         {key: {"type": "x"} for key in lags},
         seeds=[7, 8],
     )
-    told = statements(results)
-    assert told["Tracking"].startswith("On seed 7, a and twin track best")
-    assert told["Spread"].startswith("Over 2 seeds, a and twin share the smallest median")
+    texts = statements(results)
+    assert texts["Tracking"].startswith("On seed 7, a and twin track best")
+    assert texts["Spread"].startswith("Over 2 seeds, a and twin share the smallest median")
 
 
 def test_twins_share_the_first_place_of_each_output_and_scenario(make_results: MakeResults) -> None:

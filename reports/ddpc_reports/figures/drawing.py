@@ -21,7 +21,7 @@ from typing import Any
 
 from ddpc_cosim.plugins import cached
 
-_MOST_KEPT = 4000  # files of the cache, two of each picture, which takes some 10 kB
+_MOST_CACHED = 4000  # files of the cache, two of each picture, which takes some 10 kB
 Spec = Mapping[str, Any]
 
 _LONGEST_SECONDS = 60.0  # for a picture that takes milliseconds, the first one a second
@@ -34,8 +34,9 @@ for line in sys.stdin.buffer:
     try:
         spec, samples = json.loads(line)
         vega = vl_convert.vegalite_to_vega(spec)
-        rows = [{"values": samples[one["name"]]} if one["name"] in samples else {} for one in vega["data"]]
-        data = [one | more for one, more in zip(vega["data"], rows)]
+        sets = vega["data"]
+        rows = [{"values": samples[entry["name"]]} if entry["name"] in samples else {} for entry in sets]
+        data = [entry | more for entry, more in zip(sets, rows)]
         answer = {"vega": vega, "svg": vl_convert.vega_to_svg(vega | {"data": data})}
     except Exception as error:
         answer = {"error": str(error)}
@@ -124,7 +125,7 @@ class _Painter:
 _painter = _Painter()
 
 
-def drawn(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict[str, Any], str]:
+def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict[str, Any], str]:
     """Return a Vega-Lite specification as one of Vega, without the samples, and its picture as SVG.
 
     Parameters
@@ -146,7 +147,7 @@ def drawn(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict
     return answer["vega"], answer["svg"]
 
 
-def kept(key: bytes, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+def cached_picture(key: bytes, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
     """Return what is made, as JSON has it, from the cache if the same was made before.
 
     Parameters
@@ -176,6 +177,6 @@ def kept(key: bytes, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
 def _leave_newest(folder: Path) -> None:
     """Remove the older half of the pictures where there are too many."""
     files = [*folder.iterdir()]
-    if len(files) > _MOST_KEPT:
+    if len(files) > _MOST_CACHED:
         for file in sorted(files, key=lambda file: file.stat().st_mtime_ns)[: len(files) // 2]:
             file.unlink(missing_ok=True)

@@ -31,7 +31,7 @@ from ddpc_reports.figures.charts import (
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 
-_LONGEST_TITLE, _MOST_TOLD = 120, 40
+_LONGEST_TITLE, _MOST_TEXTS = 120, 40
 _MOST_DOTS = 60
 """Seeds of a controller that are drawn as dots of one row."""
 
@@ -102,12 +102,12 @@ def in_its_place(what: str, make: Callable[[], T]) -> T | str:
         return sentence
 
 
-def entry(one: ControllerResults, *, of_first: bool = True) -> Entry:
+def entry(controller: ControllerResults, *, of_first: bool = True) -> Entry:
     """Return the line of a legend of a controller; ``of_first``: with how its first seed ended."""
-    case = one.first_case
-    note = "" if one.succeeded_first or not of_first else outcome_words(case) if case else "not run"
-    pattern = " ".join(f"{length:g}" for length in dash(one.index))
-    return Entry(column_name(one), one.label, one.index % COLOURS, pattern, note)
+    case = controller.first_case
+    note = "" if controller.succeeded_first or not of_first else outcome_words(case) if case else "not run"
+    pattern = " ".join(f"{length:g}" for length in dash(controller.index))
+    return Entry(column_name(controller), controller.label, controller.index % COLOURS, pattern, note)
 
 
 def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
@@ -121,7 +121,7 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
     what = metric_words(key)
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
-    rows = [row for one in condition.controllers for row in _spread_rows(condition, one, key)]
+    rows = [row for controller in condition.controllers for row in _spread_rows(condition, controller, key)]
     if not rows:
         return None
     dots = "one dot per seed"
@@ -135,15 +135,15 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
     return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis))
 
 
-def _spread_rows(condition: Condition, one: ControllerResults, key: str) -> list[dict[str, Any]]:
+def _spread_rows(condition: Condition, controller: ControllerResults, key: str) -> list[dict[str, Any]]:
     """Return a row for each dot of a controller, and one more for the first seed where it has no dot."""
-    values = {case.seed: case.metrics.get(key, math.nan) for case in one.succeeded}
+    values = {case.seed: case.metrics.get(key, math.nan) for case in controller.succeeded}
     ranked_seeds = sorted((seed for seed in values if math.isfinite(values[seed])), key=values.__getitem__)
-    dots, first, label = set(_spread_out(ranked_seeds)), condition.seeds[0], clipped(one.label)
+    dots, first, label = set(_spread_out(ranked_seeds)), condition.seeds[0], clipped(controller.label)
     return [
         {
             "label": label,
-            "key": column_name(one),
+            "key": column_name(controller),
             "value": _short(values[seed]),
             "first": seed == first,
             "text": f"{label}, seed {seed}: {with_unit(significant(values[seed]), metric_unit(key))}",
@@ -166,8 +166,8 @@ def _spread_out(ranked_seeds: Sequence[int]) -> list[int]:
 def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     """Return the step times of all controllers on a logarithmic axis; None if nothing was timed."""
     rows = [
-        _step_time_row(one, metric_name(key), one.summed(key))
-        for one in condition.controllers
+        _step_time_row(controller, metric_name(key), controller.summed(key))
+        for controller in condition.controllers
         for key in STEP_TIMES
     ]
     rows = [row for row in rows if math.isfinite(row["value"]) and row["value"] > 0]
@@ -181,26 +181,26 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     return one_chart(f"{prefix}step-time", "Step time", caption, step_time_chart(rows, sampling_time))
 
 
-def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[str, Any]:
+def _step_time_row(controller: ControllerResults, words: str, seconds: float) -> dict[str, Any]:
     return {
-        "label": clipped(one.label),
-        "key": column_name(one),
+        "label": clipped(controller.label),
+        "key": column_name(controller),
         "figure": words,
         "value": _short(seconds),
-        "text": f"{clipped(one.label)}, {words}: {duration(seconds)}",
+        "text": f"{clipped(controller.label)}, {words}: {duration(seconds)}",
     }
 
 
 def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
     """Return a figure of one chart that needs no legend; the caption describes it, and what its marks say."""
     name = f"{identifier}-1"
-    told = "; ".join(_told(spec["data"]["values"]))
-    description = f"{caption} {told}." if told else caption
+    words = "; ".join(_texts_of_marks(spec["data"]["values"]))
+    description = f"{caption} {words}." if words else caption
     view = View(name, clipped(panel, _LONGEST_TITLE), description, spec, drawing(spec, name, description))
     return Figure(identifier, title, caption, (view,))
 
 
-def _told(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _texts_of_marks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the words of marks; of many in a row those of the least, the middle and the largest."""
     by_row: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -208,7 +208,7 @@ def _told(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     chosen: list[Mapping[str, Any]] = []
     for label, marks in by_row.items():
         ranked = sorted(marks, key=itemgetter("value")) if label else marks
-        chosen += [ranked[0], ranked[len(ranked) // 2], ranked[-1]] if label else ranked[:_MOST_TOLD]
+        chosen += [ranked[0], ranked[len(ranked) // 2], ranked[-1]] if label else ranked[:_MOST_TEXTS]
     return list(dict.fromkeys(row["text"] for row in chosen if "text" in row))
 
 

@@ -12,7 +12,7 @@ from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.figures.figure import Figure, View, entry, in_its_place
-from ddpc_reports.figures.samples import Over, Said, column_name, said, seen
+from ddpc_reports.figures.samples import InfoSignals, Over, column_name, info_signals, seen
 from ddpc_reports.figures.signal import BAND, Column, Signal, known
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
@@ -20,7 +20,7 @@ from ddpc_reports.tables.settings import own_units, scenario_effects
 
 Kind = Literal["responses", "errors", "inputs"]
 
-_SAID = "What controllers said of their steps"
+_INFO = "What controllers said of their steps"
 _HEIGHTS = {"Responses": (236, 188), "Errors": (176, 134), "Control signals": (164, 124)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
@@ -33,7 +33,7 @@ class TimeFigures(NamedTuple):
     ----------
     figures : dict
         ``responses``: outputs with their reference; ``errors``: reference minus output; ``inputs``: these,
-        and folded their changes and what controllers said. A sentence stands for one that cannot be shown.
+        and folded their changes and what controllers reported. A sentence stands for what cannot be shown.
     samples : dict
         By name the columns of what the figures draw.
     """
@@ -81,25 +81,27 @@ def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -
     errors = figure("Errors", drawn.errors, "reference minus output; each panel has its own scale")
     inputs = figure("Control signals", drawn.inputs, sent)
     inputs += figure("Change of control signals", drawn.changes, change)
-    if (told := said(condition, prefix)).signals:
-        inputs.append(in_its_place(_SAID, partial(_said_figure, scene, told)))
-    shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *told.signals]
+    if (info := info_signals(condition, prefix)).signals:
+        inputs.append(in_its_place(_INFO, partial(_info_figure, scene, info)))
+    shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *info.signals]
     samples = {signal.id: signal.columns for signal in shown}
     samples |= {f"{signal.id}{BAND}": signal.band for signal in shown if signal.band}
     return TimeFigures({"responses": responses, "errors": errors, "inputs": inputs}, samples)
 
 
-def _said_figure(scene: _Scene, told: Said) -> Figure:
-    """Return the folded figure of what controllers said of their steps."""
-    columns = {name for signal in told.signals for name in signal.columns}
-    those = tuple(one for one in scene.condition.controllers if column_name(one) in columns)
+def _info_figure(scene: _Scene, info: InfoSignals) -> Figure:
+    """Return the folded figure of what controllers reported of their steps."""
+    columns = {name for signal in info.signals for name in signal.columns}
+    those = tuple(
+        controller for controller in scene.condition.controllers if column_name(controller) in columns
+    )
     what = (
         "info of the controllers, in their own units; each panel has its own scale, a cost is of a "
         "controller's own problem: hide others to see one"
     )
-    rest = f" {told.left_out} more in signals.csv." if told.left_out else ""
-    every = f" One of {told.every} samples; all are in signals.csv." if told.every > 1 else ""
-    return _time_figure(replace(scene, panels=_even_panels(those)), told.signals, _SAID, what, every + rest)
+    rest = f" {info.left_out} more in signals.csv." if info.left_out else ""
+    every = f" One of {info.every} samples; all are in signals.csv." if info.every > 1 else ""
+    return _time_figure(replace(scene, panels=_even_panels(those)), info.signals, _INFO, what, every + rest)
 
 
 def _scenario(condition: Condition) -> tuple[list[Mark], str]:
@@ -108,13 +110,13 @@ def _scenario(condition: Condition) -> tuple[list[Mark], str]:
     section = results.study.scenarios.get(condition.scenario)
     start = results.study.loop.start_time
     end = start + results.study.loop.duration
-    marks, told, rest = list[Mark](), list[str](), list[str]()
+    marks, marked, rest = list[Mark](), list[str](), list[str]()
     for effect in scenario_effects(section, own_units(traces)) if section else []:
         within = [mark for mark in effect.marks if start < mark.end and mark.begin < end]
         within = [mark for mark in within if mark.end > mark.begin or mark.begin > start]
-        (told if within else rest).append(effect.text)
+        (marked if within else rest).append(effect.text)
         marks += [Mark(clipped(mark.label), max(mark.begin, start), mark.end) for mark in within]
-    words = f" Marked, and shaded where it takes a while: {'; '.join(told)}." if told else ""
+    words = f" Marked, and shaded where it takes a while: {'; '.join(marked)}." if marked else ""
     return marks, words + (f" Throughout: {'; '.join(rest)}." if rest else "")
 
 
@@ -128,10 +130,11 @@ def _commanded(condition: Condition) -> str:
 
 def _panels(condition: Condition) -> list[_Panel]:
     """Return the study's panels that have controllers here; one with all of them where it names none."""
-    by_key = {one.key: one for one in condition.controllers}
+    by_key = condition.by_key
     asked = condition.results.study.report.panels
     panels = [
-        _Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked
+        _Panel(panel.title, tuple(by_key[key] for key in panel.controllers if key in by_key))
+        for panel in asked
     ]
     return [panel for panel in panels if panel.members] or _even_panels(condition.controllers)
 
@@ -152,14 +155,14 @@ def _time_figure(scene: _Scene, signals: Sequence[Signal], title: str, what: str
         (panel, signal)
         for panel in scene.panels
         for signal in signals
-        if any(column_name(one) in signal.columns for one in panel.members)
+        if any(column_name(member) in signal.columns for member in panel.members)
     ]
     alone = len(places) == 1
     size = (WIDE if alone else NARROW, _HEIGHTS.get(title, _FOLDED)[0 if alone else 1])
     views = tuple(
         _time_view(scene, place, size, f"{identifier}-{number}") for number, place in enumerate(places, 1)
     )
-    shown = {one for panel in scene.panels for one in panel.members}
+    shown = {member for panel in scene.panels for member in panel.members}
     return Figure(
         identifier,
         title,
@@ -169,7 +172,7 @@ def _time_figure(scene: _Scene, signals: Sequence[Signal], title: str, what: str
         + _beyond_words(scene, signals)
         + more,
         views,
-        tuple(entry(one) for one in condition.controllers if one in shown),
+        tuple(entry(controller) for controller in condition.controllers if controller in shown),
         reference=any(signal.has_reference for signal in signals),
         folded=title not in _HEIGHTS,
     )
@@ -186,9 +189,9 @@ def _band_words(scene: _Scene, signals: Sequence[Signal]) -> str:
     first = "the first " if over.left_out else ""
     words = f" Bands: {from_to} over {first}{over.seeds} seeds, with the median as a thin line"
     failed = [
-        f"{clipped(one.label)} {over.failed[column_name(one)]}"
-        for one in scene.condition.controllers
-        if over.failed.get(column_name(one))
+        f"{clipped(controller.label)} {over.failed[column_name(controller)]}"
+        for controller in scene.condition.controllers
+        if over.failed.get(column_name(controller))
     ]
     if failed:
         words += f"; without the runs that failed ({', '.join(failed)})"
@@ -212,17 +215,17 @@ def _beyond_words(scene: _Scene, signals: Sequence[Signal]) -> str:
     transients = 0.0
     for signal in signals:
         for panel in scene.panels:
-            names = [name for one in panel.members if (name := column_name(one)) in signal.columns]
+            names = [name for member in panel.members if (name := column_name(member)) in signal.columns]
             extent = signal.extent(names) if names else (0.0, 0.0)
-            for one in panel.members:
-                values = known(signal.columns.get(column_name(one), []))
+            for member in panel.members:
+                values = known(signal.columns.get(column_name(member), []))
                 if signal.settled is not None and values:
                     transients = max(transients, *map(abs, values)) if _leaves(values, extent) else transients
-                    values = [signal.settled[column_name(one)]]
+                    values = [signal.settled[column_name(member)]]
                 elif signal.own_range:
                     continue
                 if values and _leaves(values, extent):
-                    ends.append(_range_words(one, signal, values))
+                    ends.append(_range_words(member, signal, values))
     unit = signals[0].unit if len(signals) == 1 else ""
     words = ""
     if transients:
@@ -233,11 +236,11 @@ def _beyond_words(scene: _Scene, signals: Sequence[Signal]) -> str:
     return words + (f" {also}: {named}." if named else "")
 
 
-def _range_words(one: ControllerResults, signal: Signal, values: Sequence[float]) -> str:
+def _range_words(controller: ControllerResults, signal: Signal, values: Sequence[float]) -> str:
     name = signal.title.partition(" / ")[0]
     high = with_unit(significant(max(values), 3), signal.unit)
     low = f"{significant(min(values), 3)} …" if len(values) > 1 else "up to"
-    return f"{clipped(one.label)} ({name} {low} {high})"
+    return f"{clipped(controller.label)} ({name} {low} {high})"
 
 
 def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
@@ -246,8 +249,8 @@ def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
 
 def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int], identifier: str) -> View:
     panel, signal = place
-    members = [one for one in panel.members if column_name(one) in signal.columns]
-    names = [column_name(one) for one in members]
+    members = [member for member in panel.members if column_name(member) in signal.columns]
+    names = [column_name(member) for member in members]
     sampling_time = scene.condition.results.study.loop.sampling_time
     # Restless lines at the back: they would hide the calm ones.
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
@@ -276,13 +279,13 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
 
 def _description(signal: Signal, members: Sequence[ControllerResults]) -> str:
     """Say what a chart shows to those who do not see it: whose lines, their range and their last value."""
-    told = []
-    for one in members:
-        values = known(signal.columns[column_name(one)]) or [math.nan]
+    ranges = []
+    for member in members:
+        values = known(signal.columns[column_name(member)]) or [math.nan]
         low, high, last = (significant(value, 3) for value in (min(values), max(values), values[-1]))
-        told.append(f"{clipped(one.label)} from {low} to {high}, at the end {last}")
+        ranges.append(f"{clipped(member.label)} from {low} to {high}, at the end {last}")
     first, end = (as_given(time) for time in signal.end)
-    return f"{signal.title} over time, {first} to {end} s: {'; '.join(told)}"
+    return f"{signal.title} over time, {first} to {end} s: {'; '.join(ranges)}"
 
 
 def _travel(column: Column) -> float:

@@ -16,7 +16,7 @@ from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _BAND_DIGITS = 4
 _FAR = 5.0
-_MOST_SAID, _MOST_DRAWN = 4, 200
+_MOST_NAMES, _MOST_DRAWN = 4, 200
 _MOST_SEEDS, _MOST_ROWS = 20, 200_000
 """Of a band: seeds that are read, and samples of all controllers: these take a second."""
 _BAND_POINTS = 150
@@ -71,7 +71,7 @@ def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
     if not traces:
         return Seen()
     everyone, over = _over_seeds(condition, sum(map(len, traces.values()))) if bands else ({}, Over())
-    labels = {column_name(one): clipped(one.label) for one in condition.controllers}
+    labels = {column_name(controller): clipped(controller.label) for controller in condition.controllers}
     runs = _Runs(traces, max(traces.values(), key=len), trusted(traces), everyone, labels)
     outputs, inputs = range(len(runs.longest.outputs)), range(len(runs.longest.inputs))
     return Seen(
@@ -84,8 +84,12 @@ def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
 
 
 def _first_runs(condition: Condition) -> dict[str, Trace]:
-    found = condition.first_traces
-    return {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
+    traces = condition.first_traces
+    return {
+        column_name(controller): traces[controller.key]
+        for controller in condition.controllers
+        if controller.key in traces
+    }
 
 
 def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]], Over]:
@@ -94,20 +98,22 @@ def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]]
     if len(seeds) < 2:
         return {}, Over()
     runs, failed, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces
-    for one in condition.controllers:
-        asked = [case for case in one.cases if case.seed in seeds]
-        name, sound = column_name(one), [case for case in asked if not case.failed]
+    for controller in condition.controllers:
+        asked = [case for case in controller.cases if case.seed in seeds]
+        name, sound = column_name(controller), [case for case in asked if not case.failed]
         failed[name] = len(asked) - len(sound)
         # Runs whose errors are the same to the last bit are the same, and need not be read.
         if any(len({case.metrics.get(key) for case in sound}) > 1 for key in condition.headline):
-            runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in sound]
+            runs[name] = [
+                firsts[controller.key] if case is controller.first_case else case.trace() for case in sound
+            ]
     few = len(seeds) < _FEWEST_FOR_QUANTILES
     return runs, Over(len(seeds), len(condition.seeds) - len(seeds), failed, few)
 
 
 @dataclass(frozen=True)
-class Said:
-    """What controllers said of their steps at the first seed of a condition.
+class InfoSignals:
+    """What controllers reported of their steps at the first seed of a condition.
 
     Parameters
     ----------
@@ -124,21 +130,21 @@ class Said:
     left_out: int
 
 
-def said(condition: Condition, prefix: str) -> Said:
-    """Read ``Trace.info`` of the first seed and return it as signals; none where nothing was said."""
+def info_signals(condition: Condition, prefix: str) -> InfoSignals:
+    """Return ``Trace.info`` of the first seed as signals; none where no controller reported any."""
     traces = _first_runs(condition)
     names = list(dict.fromkeys(name for trace in traces.values() for name in trace.info))
     if not names:
-        return Said([], 1, 0)
+        return InfoSignals([], 1, 0)
     longest, scaled_by = max(traces.values(), key=len), trusted(traces)
     every = -(-len(longest) // _MOST_DRAWN)
     signals = []
-    for i, name in enumerate(names[:_MOST_SAID]):
+    for i, name in enumerate(names[:_MOST_NAMES]):
         columns = {"t": rounded(longest.time[::every])}
-        told = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
-        columns |= {key: rounded(values[::every]) for key, values in told.items()}
+        info = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
+        columns |= {key: rounded(values[::every]) for key, values in info.items()}
         signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True))
-    return Said(signals, every, len(names) - len(signals))
+    return InfoSignals(signals, every, len(names) - len(signals))
 
 
 @dataclass(frozen=True)
@@ -157,7 +163,7 @@ class _Runs:
         """Return median and ends of a signal over the seeds, thinned out to what a chart can show."""
         drawn = [value for name in ("r", *self.trusted) for value in known(columns.get(name, []))]
         thinnest = _THINNEST * (max(drawn, default=0.0) - min(drawn, default=0.0))
-        found: dict[str, Column] = {}
+        averaged: dict[str, Column] = {}
         for name, traces in self.everyone.items():
             if len(traces) < 2:
                 continue
@@ -170,10 +176,10 @@ class _Runs:
             low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
             if (high - low).max() > thinnest:
                 middle = np.median(values, axis=0)[middles]
-                found["t"] = rounded(traces[0].time[middles])
+                averaged["t"] = rounded(traces[0].time[middles])
                 columns_of = zip(("", "l", "h"), (middle, low, high), strict=True)
-                found |= {name + end: rounded(column, _BAND_DIGITS) for end, column in columns_of}
-        return found
+                averaged |= {name + end: rounded(column, _BAND_DIGITS) for end, column in columns_of}
+        return averaged
 
 
 def band_ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:

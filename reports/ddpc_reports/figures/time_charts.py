@@ -222,7 +222,7 @@ def _marks(placed: tuple[list[_Label], list[Mark]], x: Spec) -> list[Spec]:
     """Shade spans and rule instants, their labels in rows above the chart."""
     labels, marks = placed
     spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
-    rules = [one._asdict() for one in labels]
+    rules = [label._asdict() for label in labels]
     shade = {"type": "rect", "clip": True, "color": "var(--ink)", "opacity": 0.06}
     rule = {"type": "rule", "strokeWidth": 0.8, "strokeDash": [1, 2], "clip": True}
     soft = {"color": "var(--ink-soft)"}

@@ -30,22 +30,22 @@ _LONGEST_REASON = 80
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return the times of a step per controller, deadline misses, and steps with a substitute."""
     everyone = condition.controllers
-    eligible = [not one.failed and not one.is_point for one in everyone]
+    eligible = [not controller.failed and not controller.is_point for controller in everyone]
     columns: list[Column] = []
     for key in STEP_TIMES:
-        seconds = [one.summed(key) for one in everyone]
+        seconds = [controller.summed(key) for controller in everyone]
         unit, factor = time_scale(seconds)
         alike = condition.alike(key, everyone)
         shown = [value * factor for value in seconds]
         cells = number_cells(shown, eligible=eligible, digits=3, alike=alike)
         columns.append((Heading(metric_name(key), unit), cells))
     sampling_time = condition.results.study.loop.sampling_time
-    share = [100 * one.summed("solve_time_max [s]") / sampling_time for one in everyone]
+    share = [100 * controller.summed("solve_time_max [s]") / sampling_time for controller in everyone]
     columns.append(
         (Heading(metric_name("solve_time_max"), "% of the sampling time"), number_cells(share, digits=2))
     )
     for key in ("deadline_misses [1]", "failures [1]"):
-        counts = [one.total(key) for one in everyone]
+        counts = [controller.total(key) for controller in everyone]
         columns.append((Heading(metric_name(key), "steps"), [Cell(integer(n), int(n)) for n in counts]))
     return controller_table(
         f"{prefix}step-times",

@@ -93,13 +93,13 @@ def _columns(condition: Condition, names: Sequence[str]) -> list[Column]:
 def meanings(names: Sequence[str]) -> str:
     """Say what the metrics of a table are."""
     metrics = all_metrics()
-    told = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
-    return " ".join(told).replace(" - ", f" {MINUS} ")
+    sentences = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
+    return " ".join(sentences).replace(" - ", f" {MINUS} ")
 
 
 def metric_column(condition: Condition, key: str) -> Column:
     """Return a metric of every controller, under the head of the metric where several signals have it."""
-    values = [one.summed(key) for one in condition.controllers]
+    values = [controller.summed(key) for controller in condition.controllers]
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
     cells = _median_cells(condition, key, shown, 4 if key in condition.headline else 3)
@@ -114,7 +114,7 @@ def _median_cells(condition: Condition, key: str, values: Sequence[float], digit
     One of which cases failed has values of the easier seeds only: it is not marked.
     """
     members = condition.controllers
-    eligible = [condition.may_win(one) for one in members]
+    eligible = [condition.may_win(member) for member in members]
     alike = condition.alike(key, members)
     return number_cells(values, eligible=eligible, better=metric_of(key).better, digits=digits, alike=alike)
 
@@ -158,7 +158,7 @@ class _Compared(NamedTuple):
 
 def reproduction_table(condition: Condition, reproduction: Reproduction, prefix: str) -> Table:
     """Return published values, both variants of each method here, spread over seeds, and deviation."""
-    controllers = {one.key: one for one in condition.controllers}
+    controllers = condition.by_key
     rows = [
         row
         for method in reproduction.methods
@@ -184,7 +184,7 @@ def reproduction_table(condition: Condition, reproduction: Reproduction, prefix:
 
 def reproduction_statements(condition: Condition, reproduction: Reproduction) -> list[Statement]:
     """Return how the order of computation times here compares with the published one, where there is one."""
-    controllers = {one.key: one for one in condition.controllers}
+    controllers = condition.by_key
     statements = []
     for key, title in reproduction.metrics.items():
         measured = {
@@ -234,9 +234,9 @@ def _rows(
     if not method.rest_samples or split_key(key)[0] != _SUMMED:
         return [_row(title, key, method, controllers)]
     samples = f"{method.rest_samples} {'sample' if method.rest_samples == 1 else 'samples'} at rest"
-    own = replace(method, values={key: math.nan}, rest_samples=0)
+    from_first_decision = replace(method, values={key: math.nan}, rest_samples=0)
     return [
-        _row(f"{title}, from the first decision on", key, own, controllers),
+        _row(f"{title}, from the first decision on", key, from_first_decision, controllers),
         _row(f"{title}, {samples} counted too, as published", key, method, controllers),
     ]
 
@@ -246,7 +246,7 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
     scale, unit = 1.0, metric_unit(key)
     if unit == "s":
         unit, scale = time_scale([compared.published])
-    # Scaling leaves rounding errors that are no digits of the publication.
+    # Scaling leaves rounding errors that are not digits of the publication.
     published = computed(compared.published * scale)
     comparable = not _is_step_time(key)
     cells = (
@@ -265,21 +265,22 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
 
 def _compare(key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> _Compared:
     code, printed = controllers.get(method.published_code), controllers.get(method.printed)
-    by_seed = [_with_rest(one, key, method.rest_samples) if one else {} for one in (code, printed)]
+    both, rest = (code, printed), method.rest_samples
+    by_seed = [_with_rest(controller, key, rest) if controller else {} for controller in both]
     first_code, first_printed = (
-        values.get(one.first_seed, math.nan) if one else math.nan
-        for one, values in zip((code, printed), by_seed, strict=True)
+        values.get(controller.first_seed, math.nan) if controller else math.nan
+        for controller, values in zip(both, by_seed, strict=True)
     )
     seeds = spread(by_seed[0 if code else 1].values())
     return _Compared(method.values[key], first_code, first_printed, seeds)
 
 
-def _with_rest(one: ControllerResults, key: str, samples: int) -> dict[int, float]:
+def _with_rest(controller: ControllerResults, key: str, samples: int) -> dict[int, float]:
     """Return a metric by seed; sums of errors with the error of so many samples at rest added."""
-    values = one.by_seed(key)
+    values = controller.by_seed(key)
     if not samples or split_key(key)[0] != _SUMMED:
         return values
-    for case in one.completed:
+    for case in controller.completed:
         trace, signal = case.trace(), split_key(key)[1]
         i = [output.name for output in trace.outputs].index(signal)
         at_rest = abs(trace.reference[0, i] - trace.y[0, i]) * abs(trace.outputs[i].shown_in.factor)

@@ -40,44 +40,46 @@ class _Data:
 
     def worst(self, name: str, of: Callable[[list[float]], float]) -> float:
         """Return the smallest or largest value over the seeds; NaN if none has one."""
-        known = [one[name] for one in self.runs if not math.isnan(one.get(name, math.nan))]
+        known = [run[name] for run in self.runs if not math.isnan(run.get(name, math.nan))]
         return of(known) if known else math.nan
 
 
 def diagnostics_tables(conditions: Sequence[Condition], prefix: str) -> list[Table]:
     """Return what controllers say about their recordings, and what else they start with."""
     data = [
-        one for one in _distinct(conditions, of_data=True) if any(set(run) - {_SAMPLES} for run in one.runs)
+        entry
+        for entry in _distinct(conditions, of_data=True)
+        if any(set(run) - {_SAMPLES} for run in entry.runs)
     ]
-    others = [one for one in _distinct(conditions, of_data=False) if any(one.runs)]
+    others = [entry for entry in _distinct(conditions, of_data=False) if any(entry.runs)]
     tables = [_data_table(data, prefix)] if data else []
     return tables + ([_others_table(others, prefix)] if others else [])
 
 
 def _distinct(conditions: Sequence[Condition], *, of_data: bool) -> list[_Data]:
     """Return what controllers say, once for the scenarios in which it is the same for all seeds."""
-    found: dict[str, list[_Data]] = {}
+    by_controller: dict[str, list[_Data]] = {}
     for condition in conditions:
-        for one in condition.controllers:
-            for part, runs in _by_part(one, of_data=of_data).items():
-                known = found.setdefault(one.key, [])
-                new = _Data(one, part, (condition.label,), runs)
+        for controller in condition.controllers:
+            for part, runs in _by_part(controller, of_data=of_data).items():
+                known = by_controller.setdefault(controller.key, [])
+                new = _Data(controller, part, (condition.label,), runs)
                 place = next((i for i, d in enumerate(known) if (d.part, d.runs) == (part, runs)), None)
                 if place is None:
                     known.append(new)
                 else:
-                    known[place] = _Data(one, part, (*known[place].scenarios, condition.label), runs)
-    return [data for of_one in found.values() for data in of_one]
+                    known[place] = _Data(controller, part, (*known[place].scenarios, condition.label), runs)
+    return [entry for entries in by_controller.values() for entry in entries]
 
 
-def _by_part(one: ControllerResults, *, of_data: bool) -> dict[str, tuple[Values, ...]]:
+def _by_part(controller: ControllerResults, *, of_data: bool) -> dict[str, tuple[Values, ...]]:
     """Return what is said by each part of a controller, such as one of several loops, in every run."""
     parts: dict[str, list[dict[str, float]]] = {}
-    for i, case in enumerate(one.cases):
+    for i, case in enumerate(controller.cases):
         for full, value in case.diagnostics.items():
             part, _, name = full.rpartition(".")
             if (name in _OF_DATA) == of_data:
-                runs = parts.setdefault(part, [{} for _ in one.cases])
+                runs = parts.setdefault(part, [{} for _ in controller.cases])
                 runs[i][name] = value
                 if of_data:
                     runs[i][_SAMPLES] = float(case.recorded_samples or math.nan)
@@ -85,13 +87,15 @@ def _by_part(one: ControllerResults, *, of_data: bool) -> dict[str, tuple[Values
 
 
 def _data_table(data: Sequence[_Data], prefix: str) -> Table:
-    several = any(len(one.runs) > 1 for one in data)
-    errors = [one.worst("prediction_error", max) for one in data]
-    middle = [spread(run.get("prediction_error", math.nan) for run in one.runs).median for one in data]
-    fitted = [spread(run.get("prediction_error_fitted", math.nan) for run in one.runs).median for one in data]
+    several = any(len(entry.runs) > 1 for entry in data)
+    errors = [entry.worst("prediction_error", max) for entry in data]
+    middle = [spread(run.get("prediction_error", math.nan) for run in entry.runs).median for entry in data]
+    fitted = [
+        spread(run.get("prediction_error_fitted", math.nan) for run in entry.runs).median for entry in data
+    ]
 
     def column(heading: Heading, name: str, of: Callable[[list[float]], float]) -> Column:
-        values = [one.worst(name, of) for one in data]
+        values = [entry.worst(name, of) for entry in data]
         return heading, [Cell(_written(value), value) for value in values]
 
     order, matrix, off = "PE order", "data matrix", "prediction error"
@@ -100,14 +104,14 @@ def _data_table(data: Sequence[_Data], prefix: str) -> Table:
         column(Heading("reached", group=order), "pe_order", min),
         column(Heading("needed", group=order), "pe_order_needed", max),
         column(Heading("windows", group=matrix), "data_columns", min),
-        (Heading("rank", group=matrix), [_rank(one) for one in data]),
+        (Heading("rank", group=matrix), [_rank(entry) for entry in data]),
         column(Heading("condition", group=matrix), "condition", max),
         (Heading("held out", "median" if several else "", group=off), number_cells(middle, digits=3)),
         *([(Heading("held out", "worst", group=off), number_cells(errors, digits=3))] if several else []),
         (Heading("fitted", "median" if several else "", group=off), number_cells(fitted, digits=3)),
-        (Heading("judgement", numeric=False), [Cell(_judgement(one.runs)) for one in data]),
+        (Heading("judgement", numeric=False), [Cell(_judgement(entry.runs)) for entry in data]),
     ]
-    shown = [one for one in columns if any(cell.text != MISSING for cell in one[1])]
+    shown = [(heading, cells) for heading, cells in columns if any(cell.text != MISSING for cell in cells)]
     worst = " Over the seeds the worst is shown, where nothing else is said." if several else ""
     return Table(
         f"{prefix}diagnostics",
@@ -128,21 +132,21 @@ def _data_table(data: Sequence[_Data], prefix: str) -> Table:
 
 def _with_cells(data: Sequence[_Data], columns: Sequence[Sequence[Cell]]) -> tuple[Row, ...]:
     """Return the rows, below their scenarios where not all of them are of all."""
-    several = len({one.scenarios for one in data}) > 1
+    several = len({entry.scenarios for entry in data}) > 1
     return tuple(
         Row(
-            ": ".join(filter(None, (one.owner.label, one.part))),
+            ": ".join(filter(None, (entry.owner.label, entry.part))),
             tuple(cells[i] for cells in columns),
-            one.owner.key,
-            one.owner.index,
-            "; ".join(one.scenarios) if several else "",
+            entry.owner.key,
+            entry.owner.index,
+            "; ".join(entry.scenarios) if several else "",
         )
-        for i, one in enumerate(data)
+        for i, entry in enumerate(data)
     )
 
 
-def _rank(one: _Data) -> Cell:
-    rank, rows = one.worst("data_rank", min), one.worst("data_rows", max)
+def _rank(entry: _Data) -> Cell:
+    rank, rows = entry.worst("data_rank", min), entry.worst("data_rows", max)
     return Cell(MISSING if math.isnan(rank) else f"{integer(rank)} of {integer(rows)}", rank)
 
 
@@ -168,8 +172,8 @@ def _judged(run: Values) -> str:
 
 
 def _others_table(others: Sequence[_Data], prefix: str) -> Table:
-    values = [Cell("; ".join(_other_words(one.runs))) for one in others]
-    several = any(len(one.runs) > 1 for one in others)
+    values = [Cell("; ".join(_other_words(entry.runs))) for entry in others]
+    several = any(len(entry.runs) > 1 for entry in others)
     return Table(
         f"{prefix}start",
         "What else the controllers say of themselves",

@@ -114,17 +114,17 @@ def _ends(results: StudyResults, ended_early: Sequence[CaseResult]) -> Iterator[
 
 def _failing(cases: Sequence[CaseResult]) -> tuple[list[list[CaseResult]], int]:
     """Return the cases with fallbacks of each controller and scenario, and how many of them are read."""
-    found: dict[tuple[str, str], list[CaseResult]] = {}
+    by_place: dict[tuple[str, str], list[CaseResult]] = {}
     for case in cases:
         if case.metrics.get("failures [1]", 0.0) > 0:
-            found.setdefault((case.controller, case.scenario), []).append(case)
-    return [*found.values()], 1 + _READ // max(len(found), 1)
+            by_place.setdefault((case.controller, case.scenario), []).append(case)
+    return [*by_place.values()], 1 + _READ // max(len(by_place), 1)
 
 
 def _fallbacks(cases: Iterable[CaseResult]) -> Iterator[_Event]:
     for case in cases:
         trace = case.trace()
-        # The fault that ended a case is not a fallback: it is told of the run.
+        # The fault that ended a case is not a fallback: it is shown with the run.
         statuses = trace.status[: trace.decided]
         yield from (
             _Event(status, case, float(trace.time[k])) for k, status in enumerate(statuses) if status != OK
@@ -137,21 +137,21 @@ def _warnings(cases: Sequence[CaseResult]) -> Iterator[_Event]:
 
 def _grouped(events: Iterable[_Event]) -> list[_Reason]:
     """Return the reasons, the most frequent first."""
-    found: dict[str, _Reason] = {}
+    by_text: dict[str, _Reason] = {}
     for event in events:
         event = event._replace(text=without_folders(event.text))
-        found.setdefault(alike(event.text), _Reason(event)).add(event)
-    return sorted(found.values(), key=lambda reason: -reason.events)
+        by_text.setdefault(alike(event.text), _Reason(event)).add(event)
+    return sorted(by_text.values(), key=lambda reason: -reason.events)
 
 
 def _rows(reasons: Sequence[_Reason], kind: str, results: StudyResults, *, sampled: bool) -> Iterator[Row]:
     """Yield the rows of one kind; ``sampled`` says whether its events are samples."""
     names, sections = labels(results), results.study.scenarios
     scenarios = {case.scenario for case in results.cases}
-    told = {name: sections[name].label or name if name in sections else name for name in scenarios}
+    scenario_labels = {name: sections[name].label or name if name in sections else name for name in scenarios}
 
     def case_words(case: CaseResult) -> str:
-        scenario = f", {told[case.scenario]}" if len(told) > 1 else ""
+        scenario = f", {scenario_labels[case.scenario]}" if len(scenario_labels) > 1 else ""
         return f"{names[case.controller]}{scenario}, seed {case.seed}"
 
     def row(words: str, cases: Mapping[str, CaseResult], events: int, first: _Event | None) -> Row:

@@ -37,22 +37,22 @@ _FAILED_NOTE = (
 )
 
 
-def ranking_table(condition: Condition, found: Standings, prefix: str) -> Table:
+def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Table:
     """Return the controllers of one scenario in the order of their ranks, with what else decides.
 
     Parameters
     ----------
     condition : Condition
         The scenario.
-    found : Standings
+    ranking : Standings
         Its standings.
     prefix : str
         What the table's name in the page begins with.
     """
-    order = in_order(condition.controllers, found)
+    order = in_order(condition.controllers, ranking)
     ranked = replace(condition, controllers=tuple(order))
     keys = condition.headline
-    own = [column for key in keys for column in _headline_columns(ranked, found, key)]
+    ranked_columns = [column for key in keys for column in _headline_columns(ranked, ranking, key)]
     more = [
         metric_column(ranked, key)
         for name in (*_MORE, *_others(keys))
@@ -60,20 +60,20 @@ def ranking_table(condition: Condition, found: Standings, prefix: str) -> Table:
         if len(keys) == 1 or name == "solve_time_median"
     ]
     columns = [
-        _rank_column(found, order),
-        *own,
+        _rank_column(ranking, order),
+        *ranked_columns,
         *share_columns(ranked),
         *more,
         *_terms_columns(ranked, order),
-        *_failed_columns(found, order),
+        *_failed_columns(ranking, order),
     ]
     what = " and ".join(filter(None, (metric_name(keys[0]) if keys else "", _of_signals(keys))))
     return controller_table(
         f"{prefix}ranking",
-        f"Ranked by {what}" if keys and found.is_ranked else "Controllers",
+        f"Ranked by {what}" if keys and ranking.is_ranked else "Controllers",
         order,
         columns,
-        _notes(condition, found),
+        _notes(condition, ranking),
         "ranking.csv",
         kind="ranking",
         sortable=True,
@@ -82,37 +82,40 @@ def ranking_table(condition: Condition, found: Standings, prefix: str) -> Table:
 
 def _others(ranked_by: Sequence[str]) -> list[str]:
     """Return what no section has of its own: metrics of third parties, and mean errors beside a cost."""
-    own = {*_MORE, *RESPONSE, *LIMITS, *(split_key(key)[0] for key in ranked_by)}
-    return [name for name in response_metrics() if name not in own]
+    shown = {*_MORE, *RESPONSE, *LIMITS, *(split_key(key)[0] for key in ranked_by)}
+    return [name for name in response_metrics() if name not in shown]
 
 
 def _of_signals(keys: Sequence[str]) -> str:
     return f"by each of {len(keys)} outputs" if len(keys) > 1 else ""
 
 
-def in_order(controllers: Sequence[ControllerResults], found: Standings) -> list[ControllerResults]:
+def in_order(controllers: Sequence[ControllerResults], ranking: Standings) -> list[ControllerResults]:
     """Return controllers in the order of their standings, those that do not compete last."""
-    place = {one.controller: i for i, one in enumerate(found.order)}
-    return sorted(controllers, key=lambda one: place.get(one.key, math.inf))
+    place = {standing.controller: i for i, standing in enumerate(ranking.order)}
+    return sorted(controllers, key=lambda controller: place.get(controller.key, math.inf))
 
 
-def _rank_column(found: Standings, order: Sequence[ControllerResults]) -> Column:
-    ranks = {one.controller: one for one in found.order}
-    of_others = Cell(MISSING if found.is_ranked else "")
+def _rank_column(ranking: Standings, order: Sequence[ControllerResults]) -> Column:
+    ranks = {standing.controller: standing for standing in ranking.order}
+    of_others = Cell(MISSING if ranking.is_ranked else "")
     cells = [
-        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(one.key)) else of_others
-        for one in order
+        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(controller.key)) else of_others
+        for controller in order
     ]
     return Heading("rank"), cells
 
 
-def _headline_columns(ranked: Condition, found: Standings, key: str) -> list[Column]:
+def _headline_columns(ranked: Condition, ranking: Standings, key: str) -> list[Column]:
     """Return the medians of what is ranked by and, of one output, their 95 % intervals."""
     heading, cells = metric_column(ranked, key)
     if len(ranked.headline) > 1 or len(ranked.seeds) < 2:
         return [(heading, cells)]
-    samples = [found.samples.get(key, {}).get(one.key) for one in ranked.controllers]
-    ends = [(one.low, one.high) if one and one.low != one.high else (math.nan, math.nan) for one in samples]
+    samples = [ranking.samples.get(key, {}).get(controller.key) for controller in ranked.controllers]
+    ends = [
+        (sample.low, sample.high) if sample and sample.low != sample.high else (math.nan, math.nan)
+        for sample in samples
+    ]
     intervals = [Cell(text) for text in interval_texts(ends)]
     return [(heading, cells), (Heading("interval", "95\u00a0%"), intervals)]
 
@@ -120,37 +123,39 @@ def _headline_columns(ranked: Condition, found: Standings, key: str) -> list[Col
 def _terms_columns(ranked: Condition, order: Sequence[ControllerResults]) -> list[Column]:
     """Return how much of the future each sees, and from how much it learns."""
     traces = ranked.first_traces
-    ahead = [float(traces[one.key].preview) if one.key in traces else math.nan for one in order]
-    recorded = [float(max((case.recorded_samples for case in one.cases), default=0)) for one in order]
+    of_order = [traces.get(controller.key) for controller in order]
+    ahead = [math.nan if trace is None else float(trace.preview) for trace in of_order]
+    samples = ([case.recorded_samples for case in controller.cases] for controller in order)
+    recorded = [float(max(of_cases, default=0)) for of_cases in samples]
     return [
         (Heading("preview", "samples"), number_cells(ahead, better="")),
         (Heading("needs data", "samples"), number_cells(recorded, better="")),
     ]
 
 
-def _failed_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
+def _failed_columns(ranking: Standings, order: Sequence[ControllerResults]) -> list[Column]:
     """Return how many runs of each failed, where any did."""
-    standing = {one.controller: one for one in found.order}
-    if not any(one.failed for one in found.order):
+    by_key = {standing.controller: standing for standing in ranking.order}
+    if not any(standing.failed for standing in ranking.order):
         return []
     cells = [
-        Cell(f"{own.failed} of {own.runs}", own.failed, failed=own.failed > 0)
-        if (own := standing.get(one.key))
+        Cell(f"{standing.failed} of {standing.runs}", standing.failed, failed=standing.failed > 0)
+        if (standing := by_key.get(controller.key))
         else Cell(MISSING)
-        for one in order
+        for controller in order
     ]
     return [(Heading("failed", "runs"), cells)]
 
 
-def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
+def _notes(condition: Condition, ranking: Standings) -> tuple[str, ...]:
     several = len(condition.seeds) > 1
     best = "Bold and tinted: the best of a column"
     best += ", with those that the seeds do not tell apart from it" if several else ""
     best += "; where that is most of them, none is marked."
     notes = [best]
-    if found.is_ranked:
-        notes.append(_RANK_NOTE if found.tested else _MEDIANS_NOTE)
-    if any(one.failed for one in found.order):
+    if ranking.is_ranked:
+        notes.append(_RANK_NOTE if ranking.tested else _MEDIANS_NOTE)
+    if any(standing.failed for standing in ranking.order):
         notes.append(_FAILED_NOTE)
     if several:
         notes.append(
@@ -224,10 +229,9 @@ def matrix_table(
 
 def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *, several: bool) -> Column:
     condition = place.condition
-    here = {one.key: one for one in condition.controllers}
-    members = [here.get(one.key) for one in order]
-    marked = [bool(one and condition.may_win(one)) for one in members]
-    medians = [one.over_seeds(key).median if one else math.nan for one in members]
+    members = [condition.by_key.get(controller.key) for controller in order]
+    marked = [bool(member and condition.may_win(member)) for member in members]
+    medians = [member.over_seeds(key).median if member else math.nan for member in members]
     cells = number_cells(
         medians, eligible=marked, better=metric_of(key).better, alike=condition.alike(key, members)
     )
@@ -238,22 +242,23 @@ def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *,
     title = condition.label if condition.label != condition.scenario or not several else condition.scenario
     heading = Heading(title, detail, group=place.problem if several else "", href=place.href)
     return heading, [
-        _place_cell(cell, one, key, best, place.href, ranked=able)
-        for cell, one, able in zip(cells, members, marked, strict=True)
+        _place_cell(cell, member, key, best, place.href, ranked=able)
+        for cell, member, able in zip(cells, members, marked, strict=True)
     ]
 
 
 def _place_cell(
-    cell: Cell, one: ControllerResults | None, key: str, best: float, href: str, *, ranked: bool
+    cell: Cell, controller: ControllerResults | None, key: str, best: float, href: str, *, ranked: bool
 ) -> Cell:
-    if one is None:
+    if controller is None:
         return Cell("")
-    if one.failed == len(one.cases):
-        told = dict.fromkeys(": ".join(filter(None, (outcome_words(c), c.failure))) for c in one.cases)
-        return Cell("failed", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))
-    spread = one.over_seeds(key)
+    if controller.failed == len(controller.cases):
+        words = ((outcome_words(case), case.failure) for case in controller.cases)
+        reasons = dict.fromkeys(": ".join(filter(None, pair)) for pair in words)
+        return Cell("failed", math.nan, failed=True, tone="share-0", href=href, title="; ".join(reasons))
+    spread = controller.over_seeds(key)
     detail = f"{significant(spread.low, 3)} … {significant(spread.high, 3)}" if spread.varies else ""
-    failures = f"{one.failed} failed" if one.failed and not one.is_point else ""
+    failures = f"{controller.failed} failed" if controller.failed and not controller.is_point else ""
     tone = "share-0" if failures else _tone(float(cell.raw), best) if ranked else ""
     return replace(cell, href=href, detail=detail, failures=failures, tone=tone)
 
@@ -266,16 +271,16 @@ def _tone(value: float, best: float) -> str:
     return f"share-{5 - sum(ratio > limit for limit in _RATIOS)}"
 
 
-def rank_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
+def rank_columns(ranking: Standings, order: Sequence[ControllerResults]) -> list[Column]:
     """Return the ranks over all scenarios of a problem, and the failed runs."""
-    return [_rank_column(found, order), *_failed_columns(found, order)]
+    return [_rank_column(ranking, order), *_failed_columns(ranking, order)]
 
 
-def rank_notes(found: Standings, left_out: Mapping[str, str]) -> list[str]:
+def rank_notes(ranking: Standings, left_out: Mapping[str, str]) -> list[str]:
     """Say what the ranks over all scenarios of a problem are."""
-    notes = [_RANK_NOTE if found.tested else _MEDIANS_NOTE]
+    notes = [_RANK_NOTE if ranking.tested else _MEDIANS_NOTE]
     notes.append(
         "Of each seed the median of its scenarios counts, so that scenarios do not multiply the seeds."
     )
-    names = [left_out[name] for name in found.left_out]
+    names = [left_out[name] for name in ranking.left_out]
     return [*notes, f"Not counted, as every controller fails there: {', '.join(names)}."] if names else notes

@@ -29,19 +29,20 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
     plants: dict[tuple[tuple[str, str], ...], list[str]] = {}
     common = dict[str, str]()
     for part in parts:
-        told = {name: without_folders(fact) for name, fact in part.provenance.items()}
+        provenance = {name: without_folders(fact) for name, fact in part.provenance.items()}
         # Of several problems, what is of one plant stands with the problem's name.
-        own = {
+        of_plant = {
             name: fact
-            for name, fact in told.items()
+            for name, fact in provenance.items()
             if (name not in results.provenance if several else _is_of_plant(name))
         }
-        common = {name: fact for name, fact in told.items() if name not in own} | _of_last_with_cases(results)
-        plants.setdefault(tuple(own.items()), []).append(part.study.title or part.study.name)
+        common = {name: fact for name, fact in provenance.items() if name not in of_plant}
+        common |= _of_last_with_cases(results)
+        plants.setdefault(tuple(of_plant.items()), []).append(part.study.title or part.study.name)
     facts = dict(_facts(results, common))
     if not several and any(plants):
-        (told,) = (dict(one) for one in plants)
-        facts = {**facts, "plant": _plant_words(told), "plant SHA-256": _content(told)}
+        (of_plant,) = map(dict, plants)
+        facts = {**facts, "plant": _plant_words(of_plant), "plant SHA-256": _content(of_plant)}
     date = {"date": common["date"]} if "date" in common else {}
     run = facts_table(f"{prefix}run", "What was run", (facts | date).items(), "run.csv")
     runs = [_runs_table(results, prefix)] if len(results.runs) > 1 else []
@@ -49,10 +50,9 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
 
 
 def _of_last_with_cases(results: StudyResults) -> dict[str, str]:
-    """Return what is told of the last run that ran cases: one that did not has no part in the figures."""
-    told = (run for run in reversed(results.runs) if run.get(_CASES_RUN) != "0")
-    found = next(told, {})
-    return {name: without_folders(fact) for name, fact in found.items() if name != _CASES_RUN}
+    """Return the provenance of the last run that ran cases: only such a run has a part in the figures."""
+    last = next((run for run in reversed(results.runs) if run.get(_CASES_RUN) != "0"), {})
+    return {name: without_folders(fact) for name, fact in last.items() if name != _CASES_RUN}
 
 
 def _runs_table(results: StudyResults, prefix: str) -> Table:
@@ -77,25 +77,27 @@ def _is_of_plant(name: str) -> bool:
     return of_part in _OF_PLANT or of_part.startswith("fmu ")
 
 
-def _facts(results: StudyResults, told: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _facts(results: StudyResults, provenance: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield names and values, as far as they are known: what to type, what it was done with, how it went."""
-    versions = {name.removesuffix(_VERSION): fact for name, fact in told.items() if name.endswith(_VERSION)}
+    versions = {
+        name.removesuffix(_VERSION): fact for name, fact in provenance.items() if name.endswith(_VERSION)
+    }
     facts = {
         # Earlier versions kept what was typed, and nothing else of it.
-        "command": told.get("run again") or told.get("command"),
-        "study": told.get("study"),
-        "study file": told.get("study file"),
-        "study file SHA-256": told.get("study file sha256"),
-        "study file commit": told.get("study file commit"),
-        "study.toml SHA-256": told.get("study sha256"),
+        "command": provenance.get("run again") or provenance.get("command"),
+        "study": provenance.get("study"),
+        "study file": provenance.get("study file"),
+        "study file SHA-256": provenance.get("study file sha256"),
+        "study file commit": provenance.get("study file commit"),
+        "study.toml SHA-256": provenance.get("study sha256"),
         "seeds": compact_seeds([*dict.fromkeys(case.seed for case in results.cases)]),
         "ddpc-cosim": versions.pop("ddpc-cosim", ""),
-        "ddpc-cosim commit": told.get("ddpc-cosim commit"),
+        "ddpc-cosim commit": provenance.get("ddpc-cosim commit"),
         "packages": ", ".join(f"{name} {fact}" for name, fact in versions.items()),
-        "machine": ", ".join(told[name] for name in ("system", "cpu") if name in told),
+        "machine": ", ".join(provenance[name] for name in ("system", "cpu") if name in provenance),
     }
-    known = {name for name in told if name in _SAID or name.endswith(_VERSION)}
-    facts |= {name.replace("_", " "): fact for name, fact in told.items() if name not in known}
+    known = {name for name in provenance if name in _SAID or name.endswith(_VERSION)}
+    facts |= {name.replace("_", " "): fact for name, fact in provenance.items() if name not in known}
     return ((name, fact) for name, fact in facts.items() if fact)
 
 
@@ -108,13 +110,13 @@ def _plants_table(plants: Mapping[tuple[tuple[str, str], ...], Sequence[str]], p
     return Table(f"{prefix}plants", "The plants", headings, rows, kind="facts", download="plants.csv")
 
 
-def _plant_words(told: Mapping[str, str]) -> str:
+def _plant_words(provenance: Mapping[str, str]) -> str:
     """Return all that is said of a plant besides its hash, and nothing twice."""
-    file, content = told.get("fmu", ""), _content(told)
+    file, content = provenance.get("fmu", ""), _content(provenance)
     said = {"fmu", "fmu sha256"} | (
-        {"fmu model"} if told.get("fmu model") == file.removesuffix(".fmu") else set()
+        {"fmu model"} if provenance.get("fmu model") == file.removesuffix(".fmu") else set()
     )
-    rest = {name: fact for name, fact in told.items() if name not in said}
+    rest = {name: fact for name, fact in provenance.items() if name not in said}
     # A plant is an FMU's file and what the study has changed of its variables.
     rest["plant content"] = rest.get("plant content", "").removeprefix(content).strip()
     words = [
@@ -123,5 +125,5 @@ def _plant_words(told: Mapping[str, str]) -> str:
     return ", ".join(filter(None, [file, *words])) or MISSING
 
 
-def _content(told: Mapping[str, str]) -> str:
-    return told.get("fmu sha256") or told.get("plant content", MISSING)
+def _content(provenance: Mapping[str, str]) -> str:
+    return provenance.get("fmu sha256") or provenance.get("plant content", MISSING)

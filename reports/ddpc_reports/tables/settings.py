@@ -67,9 +67,9 @@ def family_tables(condition: Condition, prefix: str) -> list[Table]:
     """Return one table for each type of controller that has settings: a row per setting, a column each."""
     sections = condition.results.study.controllers
     families: dict[str, list[ControllerResults]] = {}
-    for one in condition.controllers:
-        family = sections[one.key].type if one.key in sections else one.key
-        families.setdefault(family, []).append(one)
+    for controller in condition.controllers:
+        family = sections[controller.key].type if controller.key in sections else controller.key
+        families.setdefault(family, []).append(controller)
     tables = [_family_table(family, members, sections, prefix) for family, members in families.items()]
     return [table for table in tables if table.rows]
 
@@ -82,9 +82,10 @@ def _family_table(
 ) -> Table:
     docs = _setting_docs(family)
     settings = [
-        sections[one.key].settings if one.key in sections else one.cases[0].settings for one in members
+        sections[member.key].settings if member.key in sections else member.cases[0].settings
+        for member in members
     ]
-    given = dict.fromkeys(name for own in settings for name in own)
+    given = dict.fromkeys(name for of_controller in settings for name in of_controller)
     names = [name for name in docs if name in given] + [name for name in given if name not in docs]
     rows = tuple(Row(name, (*_values(name, settings), Cell(docs.get(name, MISSING)))) for name in names)
     differing = any(cell.differs for row in rows for cell in row.cells)
@@ -93,7 +94,7 @@ def _family_table(
         f"Settings of type {family}",
         (
             Heading("Setting", numeric=False),
-            *(Heading(one.label) for one in members),
+            *(Heading(member.label) for member in members),
             Heading("meaning", numeric=False),
         ),
         rows,
@@ -104,7 +105,7 @@ def _family_table(
 
 
 def _values(name: str, settings: Sequence[Mapping[str, Any]]) -> list[Cell]:
-    texts = [value_text(own[name]) if name in own else MISSING for own in settings]
+    texts = [value_text(given[name]) if name in given else MISSING for given in settings]
     return [Cell(text, text, differs=text != texts[0]) for text in texts]
 
 
@@ -127,24 +128,24 @@ def _setting_docs(family: str) -> dict[str, str]:
 def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
     """Return what each controller is: its type, the study's note about it, and what it has of its own."""
     numbers = indices(results)
-    own = {
+    listed = {
         key: (label, section)
         for key, label in labels(results).items()
         if (section := results.study.controllers.get(key)) and not section.variant_of
     }
     columns = {
-        "type": [section.type for _, section in own.values()],
-        "name": [key if key != label else "" for key, (label, _) in own.items()],
-        "differs from the study": [_own_words(section, units) for _, section in own.values()],
+        "type": [section.type for _, section in listed.values()],
+        "name": [key if key != label else "" for key, (label, _) in listed.items()],
+        "differs from the study": [_own_words(section, units) for _, section in listed.values()],
         "tuned settings": [
-            ", ".join(section.tuned.settings or ()) if section.tuned else "" for _, section in own.values()
+            ", ".join(section.tuned.settings or ()) if section.tuned else "" for _, section in listed.values()
         ],
-        "note": [section.note for _, section in own.values()],
+        "note": [section.note for _, section in listed.values()],
     }
     shown = {title: texts for title, texts in columns.items() if title in ("type", "note") or any(texts)}
     rows = tuple(
         Row(label, tuple(Cell(texts[i] or MISSING) for texts in shown.values()), key, numbers[key])
-        for i, (key, (label, _)) in enumerate(own.items())
+        for i, (key, (label, _)) in enumerate(listed.items())
     )
     headings = text_headings("Controller", *shown)
     return Table(
@@ -155,7 +156,7 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
 def _own_words(section: ControllerSection, units: Mapping[str, str]) -> str:
     """Return the limits that replace the study's, and whatever else the study says of a controller."""
     limits = [
-        f"limits of {name}: {_signal(one, units.get(name, ''))}" for name, one in section.bounds.items()
+        f"limits of {name}: {_signal(bounds, units.get(name, ''))}" for name, bounds in section.bounds.items()
     ]
     said = {"type", "label", "note", "settings", "bounds", "variant_of", "varied"}
     return "; ".join([*limits, *(f"{name}: {text}" for name, text in _others(section, said))])
@@ -188,12 +189,12 @@ def _variants_table(results: StudyResults, prefix: str) -> Table | None:
 
 def _difference(variant: ControllerSection, base: ControllerSection | None) -> str:
     """Return the settings that were varied, and whatever else differs from the controller."""
-    own, theirs = variant.settings, base.settings if base else {}
-    varied = {name: own.get(name) for name in variant.varied}
-    names = dict.fromkeys(name for name in (*own, *theirs) if name not in varied)
-    others = {name: own.get(name) for name in names if own.get(name) != theirs.get(name)}
+    settings, theirs = variant.settings, base.settings if base else {}
+    varied = {name: settings.get(name) for name in variant.varied}
+    names = dict.fromkeys(name for name in (*settings, *theirs) if name not in varied)
+    others = {name: settings.get(name) for name in names if settings.get(name) != theirs.get(name)}
     said = {"label", "settings", "tuned", "variant_of", "varied"}
-    keys, their_keys = (_without(write(one), said) for one in (variant, base or variant))
+    keys, their_keys = (_without(write(section), said) for section in (variant, base or variant))
     parts = [
         mapping_text(varied),
         f"also {mapping_text(others)}" if others else "",
@@ -209,9 +210,9 @@ def _bounds_table(condition: Condition, prefix: str) -> Table | None:
         return None
     names = [variable.name for variable in _bounded(next(iter(traces.values())))]
     rows = tuple(
-        Row(one.label, tuple(map(Cell, limits_texts(traces[one.key]))), one.key, one.index)
-        for one in condition.controllers
-        if one.key in traces
+        Row(controller.label, tuple(map(Cell, limits_texts(trace))), controller.key, controller.index)
+        for controller in condition.controllers
+        if (trace := traces.get(controller.key)) is not None
     )
     headings = text_headings("Controller", *names)
     caption = "Limits of inputs and outputs, per controller"
@@ -262,8 +263,8 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
         for kind, text in (_others(relevant, ()) if relevant else ())
     ]
     facts.append(("seeds", compact_seeds(study.seeds)))
-    own = any(section.bounds for section in study.controllers.values())
-    but = ", but for limits of their own" if own else ""
+    own_limits = any(section.bounds for section in study.controllers.values())
+    but = ", but for limits of their own" if own_limits else ""
     caption = f"The loop, the same for all controllers{but}"
     return facts_table(f"{prefix}loop", caption, facts, "loop.csv")
 
@@ -295,11 +296,11 @@ def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
         what = part.label
         others = (f"{name}: {text}" for name, text in _others(part, {"name", "plant", "fmu"}))
         yield f"part {_plain(part.name)}", "; ".join(filter(None, (what, *others)))
-    for one in plant.connections:
-        scale = f"{as_given(one.factor)} · " if one.factor != 1.0 else ""
-        more = f" + {as_given(one.offset)}" if one.offset else ""
-        how = "" if one.convert_units else ", whatever their units"
-        yield _plain(one.target), f"follows {scale}{one.source}{more}{how}"
+    for connection in plant.connections:
+        scale = f"{as_given(connection.factor)} · " if connection.factor != 1.0 else ""
+        more = f" + {as_given(connection.offset)}" if connection.offset else ""
+        how = "" if connection.convert_units else ", whatever their units"
+        yield _plain(connection.target), f"follows {scale}{connection.source}{more}{how}"
     if plant.coupling:
         yield from ((f"coupling: {name}", text) for name, text in _others(plant.coupling, ()))
 
@@ -327,12 +328,12 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
         settings = f" ({mapping_text(section.settings)})" if section.settings else ""
         facts.append(("recorded under", f"{section.type}{settings}, excitation added to its inputs"))
     facts += [
-        (f"excitation of {name}", _signal(one, units.get(name, "")))
-        for name, one in recording.excitation.items()
+        (f"excitation of {name}", _signal(signal, units.get(name, "")))
+        for name, signal in recording.excitation.items()
     ]
     facts += [
-        (f"{name} in the recording", _signal(one, units.get(name, "")))
-        for name, one in recording.inputs.items()
+        (f"{name} in the recording", _signal(signal, units.get(name, "")))
+        for name, signal in recording.inputs.items()
     ]
     others = _others(recording, {"samples", "controller", "excitation", "inputs", "file"})
     return facts + [(f"recording: {name}", text) for name, text in others]
@@ -376,9 +377,9 @@ def _signal(section: Any, own_unit: str) -> str:
     words = ", ".join(f"{key} {value_text(value)}" for key, value in given.items())
     kind = f"{section.kind}: " if hasattr(section, "kind") else ""
     unit = unit_symbol(section.unit) or section.unit
-    own = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")
-    own = "the unit of the column, else its own" if "file" in values else own
-    return f"{kind}{words or 'none'} (values in {unit or own})"
+    whose_unit = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")
+    whose_unit = "the unit of the column, else its own" if "file" in values else whose_unit
+    return f"{kind}{words or 'none'} (values in {unit or whose_unit})"
 
 
 @dataclass(frozen=True)
@@ -403,16 +404,16 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
         *_events(section),
         *map(_drift_effect, section.drifts),
         *(
-            _signal_effect(f"disturbance of {_plain(name)}", one, units.get(name, ""))
-            for name, one in disturbances
+            _signal_effect(f"disturbance of {_plain(name)}", disturbance, units.get(name, ""))
+            for name, disturbance in disturbances
         ),
         *(
-            _signal_effect(f"input {_plain(name)}", one, units.get(name, ""), first=1)
-            for name, one in section.inputs.items()
+            _signal_effect(f"input {_plain(name)}", signal, units.get(name, ""), first=1)
+            for name, signal in section.inputs.items()
         ),
         *(
-            Effect(f"limits of {_plain(name)}: {_signal(one, units.get(name, ''))}")
-            for name, one in section.bounds.items()
+            Effect(f"limits of {_plain(name)}: {_signal(bounds, units.get(name, ''))}")
+            for name, bounds in section.bounds.items()
         ),
         *(
             Effect(
@@ -451,16 +452,16 @@ def _events(section: ScenarioSection) -> Iterator[Effect]:
     """Yield the events in the order of the file; briefly from which value, where the scenario says it."""
     before = {name: value_text(value) for name, value in section.parameters.items()}
     briefly: dict[int, str] = {}
-    for one in sorted(section.events, key=lambda event: event.time):
-        after = {name: value_text(value) for name, value in one.parameters.items()}
-        briefly[id(one)] = ", ".join(
+    for event in sorted(section.events, key=lambda event: event.time):
+        after = {name: value_text(value) for name, value in event.parameters.items()}
+        briefly[id(event)] = ", ".join(
             f"{_plain(name)} {before[name]} → {text}" if name in before else f"{_plain(name)} = {text}"
             for name, text in after.items()
         )
         before |= after
-    for one in section.events:
-        text = f"at {as_given(one.time)} s: {mapping_text(one.parameters)}"
-        yield Effect(text, (Mark(briefly[id(one)], one.time, one.time),))
+    for event in section.events:
+        text = f"at {as_given(event.time)} s: {mapping_text(event.parameters)}"
+        yield Effect(text, (Mark(briefly[id(event)], event.time, event.time),))
 
 
 def _recording_text(changes: RecordingChanges) -> str:
@@ -494,7 +495,8 @@ def value_text(value: Any, *, nested: bool = False) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(value_text(entry, nested=True) for entry in value) + "]"
     if isinstance(value, Mapping):
-        pairs = ", ".join(f"{_plain(name)} = {value_text(one, nested=True)}" for name, one in value.items())
+        entries = ((_plain(name), value_text(entry, nested=True)) for name, entry in value.items())
+        pairs = ", ".join(f"{name} = {text}" for name, text in entries)
         return pairs if pairs and not nested else f"{{{pairs}}}"
     return _plain(without_folders(str(value)))
 

@@ -25,8 +25,8 @@ def controller_table(
 ) -> Table:
     """Return a table with a row per controller; ``more`` are further fields of it."""
     rows = tuple(
-        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
-        for i, one in enumerate(controllers)
+        Row(controller.label, tuple(cells[i] for _, cells in columns), controller.key, controller.index)
+        for i, controller in enumerate(controllers)
     )
     headings = (Heading("Controller", numeric=False), *(heading for heading, _ in columns))
     return Table(identifier, caption, headings, rows, notes, download=download, **more)
@@ -55,12 +55,14 @@ def number_cells(
 
 def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
     """Write the intervals of a column with common decimals, more where they would have no width."""
-    lows, highs = (column([one[i] for one in ends]) for i in (0, 1))
+    lows, highs = (column([interval[i] for interval in ends]) for i in (0, 1))
     return [
         MISSING
-        if math.isnan(one[0])
-        else " … ".join(apart(*one) if low == high and one[0] < one[1] else (low.strip(), high.strip()))
-        for one, low, high in zip(ends, lows, highs, strict=True)
+        if math.isnan(interval[0])
+        else " … ".join(
+            apart(*interval) if low == high and interval[0] < interval[1] else (low.strip(), high.strip())
+        )
+        for interval, low, high in zip(ends, lows, highs, strict=True)
     ]
 
 

@@ -110,8 +110,8 @@ def test_a_controller_looks_the_same_on_the_whole_page(make_results: MakeResults
     for study in studies:
         (condition,) = conditions(study)
         for figure in every_figure(time_figures(condition, "x-")):
-            for one in figure.legend:
-                looks.setdefault(one.label, set()).add((one.name, str(one.colour), one.dashes))
+            for entry in figure.legend:
+                looks.setdefault(entry.label, set()).add((entry.name, str(entry.colour), entry.dashes))
     assert {label: len(seen) for label, seen in looks.items()} == dict.fromkeys(many, 1)
     assert len(set.union(*looks.values())) == len(many)
 
@@ -138,7 +138,9 @@ def test_where_no_run_reaches_its_end_the_reference_is_seen_all_the_same(make_re
     drawn = every_figure(time_figures(conditions(make_results(diverges))[0], "x-"))
     for figure, largest in zip(drawn[:2], (45.0, 20.0), strict=True):
         assert figure.views[0].fixed
-        (low, high) = next(one["value"] for one in figure.views[0].spec["params"] if one["name"] == "extent")
+        (low, high) = next(
+            param["value"] for param in figure.views[0].spec["params"] if param["name"] == "extent"
+        )
         assert -largest <= low < high <= largest
         assert "quick" in figure.caption
 
@@ -275,7 +277,7 @@ def test_what_a_scenario_does_is_marked_with_its_label_and_told_in_words(make_re
             (2.5, "disturbance of angle 0 → 1"),
         }
         assert spans == {(1.0, 2.0), (2.5, 99.0)}
-    for told in (
+    for words in (
         "takes a while: at 1 s: mass = 0.5;",
         "damping from 1 to 0.5 between 1 s and 2 s",
         "disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
@@ -283,7 +285,7 @@ def test_what_a_scenario_does_is_marked_with_its_label_and_told_in_words(make_re
         "Throughout: at 0 s: mass = 0.7; disturbance of torque: noise: standard deviation 0.1, mean 0",
         "delay of torque 0.2\N{NO-BREAK SPACE}s; samples of angle lost with a probability of 0.05.",
     ):
-        assert told in rough[0].caption
+        assert words in rough[0].caption
     assert marked(calm[0].views[0].spec) == (set(), set())
     assert "Marked" not in calm[0].caption
 
@@ -319,8 +321,8 @@ def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
     trace = make_trace(0.3)
     changed = replace(trace, changed_inputs=trace.inputs, applied=trace.u + 1.0)
     said = [
-        every_figure(time_figures(conditions(make_results(lambda *_, one=one: one))[0], "x-"))[2].caption
-        for one in (trace, changed)
+        every_figure(time_figures(conditions(make_results(lambda *_, ran=variant: ran))[0], "x-"))[2].caption
+        for variant in (trace, changed)
     ]
     assert ["as commanded" in caption for caption in said] == [False, True]
 
@@ -359,10 +361,10 @@ def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
 ) -> None:
     def says(key: str, seed: int) -> Trace:
         trace = make_trace(0.5)
-        own = np.arange(len(trace), dtype=np.float64)
-        many = {name: own * place for place, name in enumerate(("cost", "b", "c", "d", "e"), start=1)}
+        steps = np.arange(len(trace), dtype=np.float64)
+        many = {name: steps * place for place, name in enumerate(("cost", "b", "c", "d", "e"), start=1)}
         many["cost"][0] = np.nan
-        return replace(trace, info={"slow": many, "quick": {"b": -own}}.get(key, {}))
+        return replace(trace, info={"slow": many, "quick": {"b": -steps}}.get(key, {}))
 
     (condition,) = conditions(make_results(says, THREE))
     drawn = time_figures(condition, "x-")
@@ -384,7 +386,7 @@ def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
     assert data["x-i0"]["c0"] == [-float(k) for k in range(0, len(trace), every)]
     assert len(data["x-i0"]["t"]) == len(data["x-i0"]["c0"]) <= 200
     silent = every_figure(time_figures(conditions(make_results(falls, THREE))[0], "y-"))
-    assert [one.title for one in silent if one.folded] == ["Change of control signals"]
+    assert [figure.title for figure in silent if figure.folded] == ["Change of control signals"]
 
 
 def shaken(key: str, seed: int) -> Trace:
@@ -476,10 +478,10 @@ def test_of_a_stretch_of_constant_reference_the_second_half_is_settled_until_its
 
 
 def test_limits_are_named_where_they_are_drawn_and_told_where_they_are_not(make_results: MakeResults) -> None:
-    def own(key: str, seed: int) -> Trace:
+    def limited(key: str, seed: int) -> Trace:
         return scaled(make_trace(0.3), 1.0, low=-1.0, high=0.4 if key == "quick" else 0.36)
 
-    response, _, control, _ = every_figure(time_figures(conditions(make_results(own))[0], "x-"))
+    response, _, control, _ = every_figure(time_figures(conditions(make_results(limited))[0], "x-"))
     words = [
         {(round(row["value"], 1), row["label"]) for row in layer["data"]["values"]}
         for figure in (response, control)
@@ -504,8 +506,8 @@ def test_who_does_not_see_the_spread_is_told_its_ends_and_its_middle(make_result
     errors = {
         c.seed: c.metrics["mean_abs_error.angle [deg]"] for c in results.cases if c.controller == "slow"
     }
-    told = re.findall(r"slow, seed (\d): ([\d.]+)°", figure.views[0].description)
-    assert [(int(seed), float(value)) for seed, value in told] == [
+    readings = re.findall(r"slow, seed (\d): ([\d.]+)°", figure.views[0].description)
+    assert [(int(seed), float(value)) for seed, value in readings] == [
         (seed, pytest.approx(errors[seed], rel=1e-3)) for seed in (2, 4, 8)
     ]
 

@@ -110,7 +110,7 @@ def test_the_best_of_a_column_follows_from_the_direction_of_its_metric(
 
 def marked(table: Table, heading: str) -> list[str]:
     """Return who is marked in a column."""
-    column = [one.words for one in table.headings[1:]].index(heading)
+    column = [column_heading.words for column_heading in table.headings[1:]].index(heading)
     return [row.header for row in table.rows if row.cells[column].best]
 
 
@@ -163,12 +163,14 @@ def test_samples_at_rest_that_the_publication_counts_have_a_row_of_their_own(
     results = study_with(make_results, 150.0, rest_samples=2)
     reproduction = results.study.report.reproduction
     assert reproduction is not None
-    own, counted = reproduction_table(conditions(results)[0], reproduction, "").rows
-    assert own.header == "sum of absolute errors (Absolute error), from the first decision on"
+    uncounted, counted = reproduction_table(conditions(results)[0], reproduction, "").rows
+    assert uncounted.header == "sum of absolute errors (Absolute error), from the first decision on"
     at_rest = "2 samples at rest counted too, as published"
     assert counted.header == f"sum of absolute errors (Absolute error), {at_rest}"
-    assert [cell.text for cell in (own.cells[1], own.cells[6], own.cells[7])] == ["\N{EN DASH}"] * 3
-    assert own.cells[3].raw == pytest.approx(costs(results, "printed")[0])
+    assert [cell.text for cell in (uncounted.cells[1], uncounted.cells[6], uncounted.cells[7])] == [
+        "\N{EN DASH}"
+    ] * 3
+    assert uncounted.cells[3].raw == pytest.approx(costs(results, "printed")[0])
     (first, *_) = (case.trace() for case in results.cases if case.controller == "printed")
     error = abs(math.degrees(first.reference[0, 0] - first.y[0, 0]))
     assert error > 19.0
@@ -213,8 +215,8 @@ def test_of_times_on_another_machine_the_order_alone_is_compared(
     assert {cell.text for row in table.rows for cell in row.cells[6:]} == {"\N{EN DASH}"}
     (statement,) = reproduction_statements(conditions(results)[0], reproduction)
     assert "A &lt;1&gt;" in statement.text
-    told = html.unescape(plain(statement.text))
-    assert told == f"Published, shortest first: A <1>, B (about 2.0 times as long). In this run, {words}."
+    sentence = html.unescape(plain(statement.text))
+    assert sentence == f"Published, shortest first: A <1>, B (about 2.0 times as long). In this run, {words}."
 
 
 CLAIMED = "mean_abs_error.angle"

@@ -29,8 +29,8 @@ def rows_of(table: Table) -> dict[str, dict[str, str]]:
     }
 
 
-def with_diagnostics(found: dict[str, Any]) -> Trace:
-    return replace(make_trace(0.5, diagnostics=found), recorded_samples=200)
+def with_diagnostics(diagnostics: dict[str, Any]) -> Trace:
+    return replace(make_trace(0.5, diagnostics=diagnostics), recorded_samples=200)
 
 
 def test_the_worst_of_all_seeds_is_shown_and_judged(make_results: MakeResults) -> None:
@@ -43,17 +43,19 @@ def test_the_worst_of_all_seeds_is_shown_and_judged(make_results: MakeResults) -
 
     results = make_results(trace_of, {"only": {"type": "x"}}, seeds=[1, 3, 6])
     (table,) = tables_of(results)
-    found = [
+    by_seed = [
         json.loads((case.folder / "run.json").read_text(encoding="utf-8"))["diagnostics"]
         for case in results.cases
     ]
     row = rows_of(table)["/only"]
-    assert float(row["PE order reached"]) == min(one["pe_order"] for one in found)
+    assert float(row["PE order reached"]) == min(diagnostics["pe_order"] for diagnostics in by_seed)
     assert row["PE order needed"] == "11"
     assert row["samples"] == "200"
     assert row["data matrix rank"] == "15 of 16"
     assert row["data matrix condition"] == f"1.00\u202f{TIMES}\u202f10⁶"
-    assert float(row["prediction error held out (worst)"]) == max(one["prediction_error"] for one in found)
+    assert float(row["prediction error held out (worst)"]) == max(
+        diagnostics["prediction_error"] for diagnostics in by_seed
+    )
     assert float(row["prediction error held out (median)"]) == 0.3
     assert float(row["prediction error fitted (median)"]) == 0.04
     assert row["judgement"].startswith("poor in 1 of 3 runs: what it was fitted to is predicted far better")

@@ -71,7 +71,7 @@ def test_the_fault_that_ends_a_case_is_no_fallback(outcome: Outcome, make_result
         )
     ]
     (condition,) = conditions(results)
-    assert [one.total("failures [1]") for one in condition.controllers] == [0, 0]
+    assert [controller.total("failures [1]") for controller in condition.controllers] == [0, 0]
 
 
 def test_runs_that_completed_and_failed_are_told_by_reason(make_results: MakeResults) -> None:
@@ -79,8 +79,8 @@ def test_runs_that_completed_and_failed_are_told_by_reason(make_results: MakeRes
     lags = {7: 30.0, 8: 40.0}
     results = make_results(lambda key, seed: make_trace(lags[seed] if key == "slow" else 0.3), seeds=[7, 8])
     low, high = sorted(case.failure.split()[2] for case in results.cases if case.failed)
-    (told,) = said(results)
-    assert told == (
+    (reason,) = said(results)
+    assert reason == (
         "Runs that completed and failed: 2 of 4",
         f"angle ends {low} … {high} % of its task away from its reference",
         ["slow", "2", "\N{EN DASH}", "slow, seed 7", "\N{EN DASH}"],
@@ -107,8 +107,8 @@ def test_a_run_that_starts_late_tells_its_own_time(make_results: MakeResults) ->
 
 def test_warnings_before_the_loop_are_told_with_their_cases(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
-        told = (f"a dead time of {seed} samples",) if key == "slow" else ()
-        return replace(make_trace(0.5, noise_seed=seed), warnings=told)
+        warned = (f"a dead time of {seed} samples",) if key == "slow" else ()
+        return replace(make_trace(0.5, noise_seed=seed), warnings=warned)
 
     results = make_results(trace_of, seeds=[7, 8], scenarios={"calm": {"label": "Calm"}, "noisy": {}})
     cells = ["slow", "4", "\N{EN DASH}", "slow, Calm, seed 7", "\N{EN DASH}"]

@@ -101,8 +101,8 @@ SCENARIOS: dict[str, Any] = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"
 def test_the_matrix_has_a_cell_for_each_scenario_that_leads_to_its_figures(make_results: MakeResults) -> None:
     results = make_results(run_of, NAMES, seeds=SEEDS, scenarios=SCENARIOS)
     table = matrix(results)
-    found = standings(results.study, results.cases)
-    assert [row.key for row in table.rows] == [one.controller for one in found.order]
+    ranking = standings(results.study, results.cases)
+    assert [row.key for row in table.rows] == [standing.controller for standing in ranking.order]
     page = render_page([results])
     for scenario, words in (("calm", "calm (°)"), ("noisy", "Noisy (°)")):
         cells = column(table, words)
@@ -129,11 +129,11 @@ def test_numbers_beside_failed_runs_are_of_the_other_runs(make_results: MakeResu
 
     both = make_results(trace_of, NAMES, seeds=SEEDS, scenarios=SCENARIOS)
     cell = column(matrix(both), "calm (°)")["falling"]
-    own = of(both, "falling", "calm")
-    assert (cell.failures, cell.raw) == ("3 failed", pytest.approx(median(own)))
-    assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(own), rel=5e-3)
+    values = of(both, "falling", "calm")
+    assert (cell.failures, cell.raw) == ("3 failed", pytest.approx(median(values)))
+    assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(values), rel=5e-3)
     table = ranked(conditions(make_results(trace_of, NAMES, seeds=SEEDS))[0])
-    assert column(table, "mean absolute error (°)")["falling"].raw == pytest.approx(median(own))
+    assert column(table, "mean absolute error (°)")["falling"].raw == pytest.approx(median(values))
 
 
 def test_a_best_of_zero_is_tinted_and_all_others_are_far_from_it(make_results: MakeResults) -> None:
@@ -196,15 +196,15 @@ def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
     table = next(c for kind, c in part.first if kind == "table" and c.id.endswith("worth"))
     (row,) = table.rows
     value = {name: of(results, name)[0] for name in lags}
-    own, best, worst, change, settings, edge, failed = row.cells
-    assert (own.raw, best.raw, worst.raw) == (value["a"], value["a3"], value["a1"])
+    base, best, worst, change, settings, edge, failed = row.cells
+    assert (base.raw, best.raw, worst.raw) == (value["a"], value["a3"], value["a1"])
     assert change.raw == pytest.approx(100 * (value["a3"] / value["a"] - 1))
     assert best.best
     assert (settings.text, edge.text, failed.text) == ("weight = 4", "weight: largest", "0 of 3")
 
 
 @pytest.mark.parametrize(
-    ("own", "tried", "edge"),
+    ("given", "tried", "edge"),
     [
         (2.0, {1.0: 0.3, 3.0: 0.6}, "weight: smallest"),
         (2.0, {1.0: 0.6, 3.0: 0.3}, "weight: largest"),
@@ -214,11 +214,11 @@ def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
     ],
 )
 def test_the_best_is_at_the_edge_where_nothing_beyond_it_was_tried(
-    make_results: MakeResults, own: float, tried: dict[float, float], edge: str
+    make_results: MakeResults, given: float, tried: dict[float, float], edge: str
 ) -> None:
     """The own value is one of those tried, wherever it lies."""
     lags = {"a": 0.5} | {f"a-{weight:g}": lag for weight, lag in tried.items()}
-    controllers: dict[str, dict[str, Any]] = {"a": {"type": "a", "settings": {"weight": own}}}
+    controllers: dict[str, dict[str, Any]] = {"a": {"type": "a", "settings": {"weight": given}}}
     for weight in tried:
         varied = {"type": "a", "variant_of": "a", "varied": ["weight"]}
         controllers[f"a-{weight:g}"] = varied | {"settings": {"weight": weight}}

@@ -63,14 +63,14 @@ def test_results_of_earlier_versions_have_the_command_that_was_typed(make_result
 
 
 def test_a_plant_of_several_problems_stands_once(make_results: MakeResults) -> None:
-    one = make_results()
+    results = make_results()
     names = ["first", "second", "third"]
-    studies = {name: replace(one.study, name=name, title=name.upper()) for name in names}
+    studies = {name: replace(results.study, name=name, title=name.upper()) for name in names}
     facts = {f"{name}: {key}": fact for name in names for key, fact in PLANT.items()}
     facts["third: plant content"] = "cafe level~10.0"
-    cases = [replace(case, problem=name) for name in names for case in one.cases]
+    cases = [replace(case, problem=name) for name in names for case in results.cases]
     several = replace(
-        one, whole=WholeStudy(one.whole.head, studies), cases=tuple(cases), provenance=facts | RUN
+        results, whole=WholeStudy(results.whole.head, studies), cases=tuple(cases), provenance=facts | RUN
     )
     run, plants = reproduce_tables(several, "x-")
     assert not any("cafe" in cell.text for row in run.rows for cell in row.cells)

@@ -300,7 +300,7 @@ def renamed(content: dict[str, Any], path: Path, name: str) -> dict[str, Any]:
     place: Any = content
     for key in path[:-1]:
         place = place[key]
-    value = {name if key == path[-1] else key: one for key, one in place.items()}
+    value = {name if key == path[-1] else key: entry for key, entry in place.items()}
     return changed(content, path[:-1], value) if len(path) > 1 else value
 
 
@@ -329,7 +329,7 @@ def text(results: StudyResults) -> str:
 
 def table_text(table: Table) -> str:
     rows = [(row.group, row.header, *(cell.text for cell in row.cells)) for row in table.rows]
-    return "\n".join(map(repr, [(table.caption, *(one.words for one in table.headings)), *rows]))
+    return "\n".join(map(repr, [(table.caption, *(heading.words for heading in table.headings)), *rows]))
 
 
 def sections_in(hint: Any) -> Iterator[type]:
@@ -338,10 +338,10 @@ def sections_in(hint: Any) -> Iterator[type]:
         yield hint
         for field in declared_fields(hint).values():
             yield from sections_in(field.hint)
-    for one in get_args(hint):
-        yield from sections_in(one)
-    for one in getattr(hint, "__metadata__", ()):
-        for kind in one.classes.values() if isinstance(one, Kinds) else ():
+    for argument in get_args(hint):
+        yield from sections_in(argument)
+    for annotation in getattr(hint, "__metadata__", ()):
+        for kind in annotation.classes.values() if isinstance(annotation, Kinds) else ():
             yield from sections_in(kind)
 
 
@@ -357,16 +357,16 @@ def set_in(value: Any, said: Any) -> Iterator[tuple[str, str]]:
     if is_dataclass(value) and isinstance(said, dict):
         yield from set_keys(value, said)
     elif isinstance(value, Mapping):
-        for key, one in value.items():
-            yield from set_in(one, said[key])
+        for key, entry in value.items():
+            yield from set_in(entry, said[key])
     elif isinstance(value, list | tuple):
-        for one, other in zip(value, said if isinstance(said, list) else [said], strict=False):
-            yield from set_in(one, other)
+        for entry, other in zip(value, said if isinstance(said, list) else [said], strict=False):
+            yield from set_in(entry, other)
 
 
 def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     """A field that is added to the study files has to be added to these tests."""
-    known = {(one.__name__, name) for one in sections_in(Study) for name in declared_fields(one)}
+    known = {(section.__name__, name) for section in sections_in(Study) for name in declared_fields(section)}
     installed = {
         ("ScenarioSection", name)
         for name, kind in all_conditions().items()
@@ -397,8 +397,8 @@ def test_studies_that_differ_in_one_value_read_differently(results: StudyResults
             other = with_study(results, changed(content, path, value))
         except ConfigError:
             continue
-        told = f"{path} = {value!r}"
-        assert seen.setdefault(text(other), told) == told
+        place = f"{path} = {value!r}"
+        assert seen.setdefault(text(other), place) == place
         tried.add(path)
     fixed = {path for path, _ in changes(settings) if path[-1] == "kind" and path[0] != "controllers"}
     assert {path for path, _ in changes(settings)} - tried == fixed
@@ -436,14 +436,14 @@ def test_a_plant_and_an_fmu_of_the_same_name_read_differently(results: StudyResu
 
 
 def test_every_kind_of_reference_is_named(results: StudyResults) -> None:
-    told = text(results)
-    assert all(f"'{kind}: " in told for kind in ("constant", "steps", "ramp", "sine", "file", "uniform"))
+    shown = text(results)
+    assert all(f"'{kind}: " in shown for kind in ("constant", "steps", "ramp", "sine", "file", "uniform"))
 
 
 def test_a_column_that_is_called_as_its_signal_has_no_empty_name(results: StudyResults) -> None:
     reference = CONTENT["reference"] | {"file": {"kind": "file", "file": "wanted.csv"}}
-    told = text(with_study(results, CONTENT | {"reference": reference}))
-    assert "file: file wanted.csv, time column time, interpolation hold" in told
+    shown = text(with_study(results, CONTENT | {"reference": reference}))
+    assert "file: file wanted.csv, time column time, interpolation hold" in shown
 
 
 def test_what_the_study_says_of_itself_is_in_the_page(
@@ -457,17 +457,17 @@ def test_what_the_study_says_of_itself_is_in_the_page(
     results = make_results(**content)
     content = write(results.study)
     # A controller that is not there is not drawn: taking one from a panel is change enough.
-    told = {
+    stated = {
         path: value
         for path, value in reversed([*changes(content)])
         if path[0] in TEXTS and path[-2:-1] != ("controllers",)
     }
-    assert {path[1] for path in told if path[0] == "report"} == {*declared_fields(ReportSection)} - {
+    assert {path[1] for path in stated if path[0] == "report"} == {*declared_fields(ReportSection)} - {
         "claims",
         "reference_points",
     }
     pages = {render_page([results]): "the study itself"}
-    for path, value in told.items():
+    for path, value in stated.items():
         page = render_page([with_study(results, changed(content, path, value))])
         assert pages.setdefault(page, f"{path} = {value!r}") == f"{path} = {value!r}"
 
@@ -475,9 +475,9 @@ def test_what_the_study_says_of_itself_is_in_the_page(
 def test_a_scenario_that_only_drifts_says_so(make_results: MakeResults) -> None:
     drift = {"parameter": "mass", "from_value": 1.0, "to_value": 0.5, "from_time": 5.0, "to_time": 65.0}
     results = make_results(scenarios={"constant": {}, "slow": {"label": "Slow drift", "drifts": [drift]}})
-    told = loop_rows(results)
-    assert told["scenario constant"] == "nothing changed"
-    assert told["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
+    rows = loop_rows(results)
+    assert rows["scenario constant"] == "nothing changed"
+    assert rows["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
 
 
 def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResults) -> None:
@@ -486,11 +486,11 @@ def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResul
 
 
 def test_what_is_left_at_its_default_takes_no_room(make_results: MakeResults) -> None:
-    told = loop_rows(make_results())
-    assert not any(name.startswith(("plant: ", "loop: ")) for name in told)
+    rows = loop_rows(make_results())
+    assert not any(name.startswith(("plant: ", "loop: ")) for name in rows)
     study = make_study({"quick": {"type": "a"}, "slow": {"type": "b"}}, bounds=CONTENT["bounds"])
-    told = loop_rows(replace(make_results(), whole=WholeStudy.of(study)))
-    assert told["limits of angle"] == "max 70 (values in °)"
+    rows = loop_rows(replace(make_results(), whole=WholeStudy.of(study)))
+    assert rows["limits of angle"] == "max 70 (values in °)"
 
 
 def loop_rows(results: StudyResults) -> dict[str, str]:
@@ -501,11 +501,11 @@ def loop_rows(results: StudyResults) -> dict[str, str]:
 def test_times_and_nominal_values_have_their_units(make_results: MakeResults) -> None:
     plant = {"name": "pendulum", "nominal": {"angle": 0.5, "torque": 2.0}}
     loop = {"sampling_time": 0.1, "duration": 6.0, "start_time": -2.5, "step_timeout": 5.0}
-    told = loop_rows(make_results(plant=plant, loop=loop))
-    assert told["nominal value of angle"] == "0.5\N{NO-BREAK SPACE}rad"
-    assert told["nominal value of torque"] == "2\N{NO-BREAK SPACE}N·m"
-    assert told["start time"] == "\N{MINUS SIGN}2.5\N{NO-BREAK SPACE}s"
-    assert told["longest time for a call"] == "5\N{NO-BREAK SPACE}s"
+    rows = loop_rows(make_results(plant=plant, loop=loop))
+    assert rows["nominal value of angle"] == "0.5\N{NO-BREAK SPACE}rad"
+    assert rows["nominal value of torque"] == "2\N{NO-BREAK SPACE}N·m"
+    assert rows["start time"] == "\N{MINUS SIGN}2.5\N{NO-BREAK SPACE}s"
+    assert rows["longest time for a call"] == "5\N{NO-BREAK SPACE}s"
 
 
 LEAVES = st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=4))
@@ -516,13 +516,13 @@ VALUES = st.recursive(
 
 
 @given(VALUES, VALUES)
-def test_different_values_read_differently(one: Any, other: Any) -> None:
-    if one != other:
-        assert value_text(one) != value_text(other)
+def test_different_values_read_differently(value: Any, other: Any) -> None:
+    if value != other:
+        assert value_text(value) != value_text(other)
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "words"),
     [
         (True, "yes"),
         ("yes", '"yes"'),
@@ -540,18 +540,21 @@ def test_different_values_read_differently(one: Any, other: Any) -> None:
         ({"a": 1, "b": {"c": 2}}, "a = 1, b = {c = 2}"),
     ],
 )
-def test_values_are_written_plainly_where_that_is_clear(value: Any, told: str) -> None:
-    assert value_text(value) == told
+def test_values_are_written_plainly_where_that_is_clear(value: Any, words: str) -> None:
+    assert value_text(value) == words
 
 
 def test_limits_of_their_own_are_not_called_the_same_for_all(make_results: MakeResults) -> None:
-    own = {"quick": {"type": "a"}, "slow": {"type": "b", "bounds": {"angle": {"max": 3.0, "unit": "rad"}}}}
+    limited = {
+        "quick": {"type": "a"},
+        "slow": {"type": "b", "bounds": {"angle": {"max": 3.0, "unit": "rad"}}},
+    }
 
     def caption(controllers: dict[str, dict[str, Any]]) -> str:
         results = make_results(controllers=controllers)
         return settings_tables(results, conditions(results)[0], "")[0].caption
 
-    assert caption(own) == "The loop, the same for all controllers, but for limits of their own"
+    assert caption(limited) == "The loop, the same for all controllers, but for limits of their own"
     assert caption({"quick": {"type": "a"}}) == "The loop, the same for all controllers"
 
 
