@@ -237,7 +237,7 @@ def problems_with_cases(
         }
 
     matches = {pattern: matching(pattern) for pattern in patterns_of(only)}
-    if lost := [pattern for pattern, names in matches.items() if not names]:
+    if unmatched := [pattern for pattern, names in matches.items() if not names]:
         known = {
             word
             for problem, resolved in problems.items()
@@ -247,7 +247,7 @@ def problems_with_cases(
             if word
         }
         raise ConfigError(
-            [f"--only {pattern}: no case matches; {did_you_mean(pattern, known)}" for pattern in lost]
+            [f"--only {pattern}: no case matches; {did_you_mean(pattern, known)}" for pattern in unmatched]
         )
     return [name for name in problems if not matches or any(name in names for names in matches.values())]
 
@@ -378,7 +378,7 @@ def plants_in(case: Case) -> Iterator[str]:
 def leaves_nothing_behind(case: Case) -> bool:
     """Whether the process of a case is as good as new afterwards, unless something goes wrong.
 
-    That is where it runs nothing that can crash, an FMU that was supplied, and no one else's code, which may
+    That is where it runs nothing that can crash, an FMU that was supplied, and no code of others, which may
     keep what it likes in its modules.
     """
     if case.plant.isolated or not all(

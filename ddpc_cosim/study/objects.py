@@ -623,7 +623,7 @@ class Study:
     def __repr__(self) -> str:
         try:
             seeds = expand_seeds(self._file.tables.get("seeds", [0]))
-        except ValueError:  # which is told when it is run
+        except ValueError:  # which is reported when it is run
             seeds = []
         counts = ((self.problems, "problem"), (self.controllers, "controller"), (seeds, "seed"))
         words = (f"{len(some)} {word}{'' if len(some) == 1 else 's'}" for some, word in counts)

@@ -68,7 +68,7 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         head = read_in(StudyHead, head_tables, file.folder, common)
     if SWEEP in tables:
         parts = list(with_variants(parts, tables[SWEEP], common))
-    # Where each error stands, and in which problems: one in what they share is told once.
+    # Where each error stands, and in which problems: one in what they share is reported once.
     faults: dict[Fault, list[str]] = {fault: [] for fault in file.faults}
     problems = dict[str, ResolvedStudy]()
     cache = StudyCache()

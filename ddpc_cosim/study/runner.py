@@ -264,12 +264,8 @@ def run_study(
         of_problem.setdefault(result.problem, []).append(result)
     several = len(resolved.problems) > 1
     for name, plant in plants.items():
-        problem_facts = facts_of_problem(
-            of_problem.get(name, []), plant, resolved.problems[name].metrics.preview
-        )
-        provenance |= {
-            provenance_of(name, key) if several else key: fact for key, fact in problem_facts.items()
-        }
+        of_plant = facts_of_problem(of_problem.get(name, []), plant, resolved.problems[name].metrics.preview)
+        provenance |= {provenance_of(name, key) if several else key: fact for key, fact in of_plant.items()}
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
     run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
@@ -468,14 +464,14 @@ def run_cases(
     with _scratch() as temporary, _scratch(folder, STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
-        waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
+        waiting, running, crashes = deque(cases), list[_Run](), Counter[str]()
         workers = _Workers(preload, temporary)
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
                     # What ends the process that starts its own takes others along: one at a time it cannot.
-                    alone = lost[waiting[0].id] > 1
+                    alone = crashes[waiting[0].id] > 1
                     if alone and any(run.alone for run in running):
                         break
                     case = waiting.popleft()
@@ -509,7 +505,7 @@ def run_cases(
                         running.remove(run)
                         workers.take_back(run)
                     if ended and run.may_be_a_bystander:
-                        lost[run.case.id] += 1
+                        crashes[run.case.id] += 1
                         waiting.appendleft(run.case)
                     elif ended:
                         yield run.case
@@ -647,7 +643,7 @@ class _Workers:
             self._idle.append(run.worker)
 
     def end(self) -> None:
-        """End those that no one has."""
+        """End the workers that have no case."""
         while self._idle:
             self._idle.pop().end()
 

@@ -171,13 +171,10 @@ def _entries(key: str, base: Table, changes: Table) -> tuple[Table, list[tuple[s
     needed, change = _NEW[key]
     entries, wrong = dict(base), []
     for name, entry in changes.items():
-        if isinstance(entry, dict) and isinstance(base.get(name), dict):
+        is_table = isinstance(entry, dict)
+        if is_table and isinstance(base.get(name), dict):
             entries[name] = change(base[name], entry)
-        elif (
-            name in base
-            or needed & dict(_items(entry)).keys()
-            or not (entry is False or isinstance(entry, dict))
-        ):
+        elif name in base or needed & dict(_items(entry)).keys() or not (is_table or entry is False):
             entries[name] = entry
         else:
             wrong.append((name, f"{did_you_mean(name, base)}; a new one needs {' or '.join(sorted(needed))}"))
@@ -195,17 +192,13 @@ def _changed_in_all(base: Table, changes: Table) -> Table:
     controller = _tuned_no_more(changed_controller(_without(base, (PROBLEMS,)), of_all, kind), of_all, kind)
     if not isinstance(of_some, dict):
         return controller | {PROBLEMS: of_some}
-    problems = {
-        name: _not_replaced(difference, of_all, kind) for name, difference in _items(base.get(PROBLEMS))
-    }
+    problems = {name: _not_replaced(section, of_all, kind) for name, section in _items(base.get(PROBLEMS))}
     for name, change in of_some.items():
         old = dict(_items(problems.get(name)))
         known = old.get("type", controller.get("type"))
-        problems[name] = (
-            _tuned_no_more(changed_controller(old, change, known), change, known)
-            if isinstance(change, dict)
-            else change
-        )
+        problems[name] = change
+        if isinstance(change, dict):
+            problems[name] = _tuned_no_more(changed_controller(old, change, known), change, known)
     return controller | ({PROBLEMS: problems} if problems else {})
 
 

@@ -99,12 +99,10 @@ class _Schemas:
         fields = declared_fields(kind)
         properties: Schema = {KIND: {"const": kind.kind}} if hasattr(kind, KIND) else {}
         for key, field in fields.items():
-            properties[key] = {"description": field.info.meaning} | self.of(
-                field.hint, field.info, partial=partial
-            )
-        return _table(
-            properties, [] if partial else [key for key, field in fields.items() if field.is_required]
-        )
+            schema = self.of(field.hint, field.info, partial=partial)
+            properties[key] = {"description": field.info.meaning} | schema
+        required = [key for key, field in fields.items() if field.is_required and not partial]
+        return _table(properties, required)
 
     def of(self, hint: Any, info: SettingInfo, *, partial: bool = False) -> Schema:
         """Return the schema of a value of a type."""

@@ -125,7 +125,7 @@ class StudyFile:
             tables = toml_tables(text)
         except DeepTablesError as error:
             raise ConfigError(f"{label}: {error}") from error
-        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are not TOML errors
             raise ConfigError(f"{label}: not a TOML file: {error}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error

@@ -158,7 +158,7 @@ def _connected(scheduler: str) -> "Iterator[Client]":
         remedy = "give the address that `dask scheduler` prints, such as tcp://host:8786"
         message = f"--scheduler {scheduler}: no dask scheduler answers ({type(error).__name__}: {error})"
         raise ConfigError(f"{message}; {remedy}") from error
-    logger = logging.getLogger("distributed.client")  # which prints tracebacks of what is told here
+    logger = logging.getLogger("distributed.client")  # which prints tracebacks of what is reported here
     level = logger.level
     logger.setLevel(logging.CRITICAL)
     try:

@@ -76,7 +76,7 @@ class Findings:
     failing : tuple of Standing
         The controllers with failed runs, those with the fewest first.
     worse_previews : tuple of WorsePreview
-        Whom seeing more of the reference makes worse.
+        The controllers that are worse where they see more of the reference.
     remarks : tuple of Remark
         What is to be known of scenarios besides ranks.
     """
@@ -220,7 +220,7 @@ class OverallFindings:
     @property
     def failed(self) -> dict[str, tuple[int, int]]:
         """By controller, the runs that failed, and all runs."""
-        return {name: (sum(case.failed for case in cases), len(cases)) for name, cases in self.cases.items()}
+        return {name: (sum(case.failed for case in runs), len(runs)) for name, runs in self.cases.items()}
 
 
 def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
@@ -228,14 +228,12 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     everything = [*cases]
     ranking = standings(study, everything)
     worse = tuple(worse_previews(study, ranking))
+    behind = (standing.controller for standing in ranking.order if not standing.failed and standing.rank > 1)
     return Findings(
         ranking,
         _lead(ranking),
         ranking.leaders,
-        next(
-            (standing.controller for standing in ranking.order if not standing.failed and standing.rank > 1),
-            "",
-        ),
+        next(behind, ""),
         tuple(standing for standing in ranking.order if standing.failed),
         worse,
         tuple(_remarks(study, everything, worse)),
@@ -245,7 +243,7 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
 def offers_of(study: Study, cases: Sequence[CaseResult], findings: Findings) -> list[Offer]:
     """Return what the best of those behind offer that the leaders do not, each controller once.
 
-    Of several outputs, and where nobody leads or nobody is behind, there is nothing to tell.
+    Of several outputs, and where no controller leads or none is behind, the list is empty.
     """
     ranking, leaders = findings.standings, findings.leaders
     rest = [standing.controller for standing in ranking.order if not standing.failed and standing.rank > 1]
@@ -266,7 +264,7 @@ def offers_of(study: Study, cases: Sequence[CaseResult], findings: Findings) -> 
 def _settles_closest(
     scenario_findings: ScenarioFindings, leaders: Sequence[str], rest: Sequence[str]
 ) -> Offer | None:
-    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
+    """Return who of the rest settles significantly closer than each leader, at half its error or less."""
     every = dict.fromkeys(key for case in scenario_findings.cases for key in case.metrics)
     keys = [key for key in every if split_key(key)[0] == _SETTLED_ERROR]
     if len(keys) != 1:
@@ -333,10 +331,8 @@ def _mixed_versions(cases: Iterable[CaseResult]) -> Iterator[str]:
             counts.setdefault(name, Counter())[version] += 1
     for name, by_version in counts.items():
         if len(by_version) > 1:
-            versions = ", ".join(
-                f"{printable(version)} ({count})" for version, count in by_version.most_common()
-            )
-            different = f"Cases ran with different versions of {printable(name)}: {versions}"
+            versions = (f"{printable(version)} ({count})" for version, count in by_version.most_common())
+            different = f"Cases ran with different versions of {printable(name)}: {', '.join(versions)}"
             yield f"{different}; a run with --fresh has one"
 
 
@@ -353,9 +349,8 @@ def _lead(ranking: Standings) -> Lead:
     if len(sound) == 1:
         return Lead.ONLY_SOUND
     if len(ranking.leaders) > 1:
-        alike = ranking.tested and all(
-            ranking.is_surely_small(*pair) for pair in combinations(ranking.leaders, 2)
-        )
+        pairs = combinations(ranking.leaders, 2)
+        alike = ranking.tested and all(ranking.is_surely_small(*pair) for pair in pairs)
         return Lead.ALIKE if alike else Lead.LEVEL
     if ranking.tested and ranking.order[0].worst > 1:  # others are behind others, but none behind it
         return Lead.LEVEL

@@ -108,25 +108,21 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
     if case.outcome is not Outcome.COMPLETED:
         return replace(case, failed=True, failure="", settles=False, left=math.inf)
     nothing = {tracking.output: tracking for tracking in resting.tracking} if resting else {}
+    outputs = {tracking.output: tracking for tracking in case.tracking}
     unavoidable = {
-        tracking.output: _unavoidable(tracking, nothing.get(tracking.output), scenario)
-        for tracking in case.tracking
+        name: _unavoidable(output, nothing.get(name), scenario) for name, output in outputs.items()
     }
     completed = resting is not None and resting.outcome is Outcome.COMPLETED
-    sizes = {
-        tracking.output: task_size(tracking, nothing.get(tracking.output) if completed else None)
-        for tracking in case.tracking
-    }
-    parts = [
-        _left(tracking, sizes[tracking.output], unavoidable[tracking.output]) for tracking in case.tracking
-    ]
+    alone = nothing if completed else {}
+    sizes = {name: task_size(output, alone.get(name)) for name, output in outputs.items()}
+    parts = [_left(output, sizes[name], unavoidable[name]) for name, output in outputs.items()]
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
     failure = _distance(case.tracking, sizes, unavoidable)
     if not failure and completed:
         failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
-    tasks = {tracking.output: sizes[tracking.output] * tracking.factor for tracking in case.tracking}
+    tasks = {name: sizes[name] * output.factor for name, output in outputs.items()}
     return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most, tasks=tasks)
 
 
@@ -148,7 +144,7 @@ def _unavoidable(
 ) -> Unavoidable:
     noise = scenario.noise.get(tracking.output, 0.0) if scenario else 0.0
     quantum = scenario.effects.get("quantum", {}).get(tracking.output, 0.0) if scenario else 0.0
-    # Where nothing acts on the plant, what its own dynamics do is no noise. The smaller: what is wild in one
+    # Where nothing acts on the plant, what its own dynamics do is not noise. The smaller: what is wild in one
     # of the two runs, as an unstable plant that is left alone, is none either.
     acts = scenario is not None and bool(scenario.disturbances or scenario.inputs)
     scatter = min(tracking.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0

@@ -1,4 +1,4 @@
-"""Whom seeing more of the reference makes worse: scenarios that differ in nothing else, side by side."""
+"""Controllers that are worse with more preview: scenarios that differ in nothing else, side by side."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

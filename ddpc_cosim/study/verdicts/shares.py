@@ -81,9 +81,8 @@ def share_runs(
             m_full = full.metrics.get(metric, math.nan) if full and not full.failed else math.nan
             run_share = RunShare(case, metric, m_zero, m_full, math.nan)
             if not case.failed and run_share.has_way:
-                run_share = run_share._replace(
-                    share=(m_zero - case.metrics.get(metric, math.nan)) / (m_zero - m_full)
-                )
+                gained = m_zero - case.metrics.get(metric, math.nan)
+                run_share = run_share._replace(share=gained / (m_zero - m_full))
             yield run_share
 
 

@@ -1,4 +1,4 @@
-"""The standings of one problem: who is ahead, whom its seeds tell apart, and whose runs failed."""
+"""The standings of one problem: who is ahead, who differs significantly, and whose runs failed."""
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -130,8 +130,7 @@ class Standings:
     @cached_property
     def failed(self) -> dict[str, int]:
         """By controller, the runs that failed."""
-        by_controller = next(iter(self.runs.values()), {})
-        return {name: sum(map(math.isnan, runs.values())) for name, runs in by_controller.items()}
+        return {name: sum(map(math.isnan, runs.values())) for name, runs in self._by_controller.items()}
 
     @cached_property
     def compared(self) -> dict[str, Comparisons]:
@@ -154,8 +153,7 @@ class Standings:
     @cached_property
     def seeds(self) -> int:
         """How many seeds there are."""
-        by_controller = next(iter(self.runs.values()), {})
-        return len({seed for runs in by_controller.values() for _, seed in runs})
+        return len({seed for runs in self._by_controller.values() for _, seed in runs})
 
     @cached_property
     def tested(self) -> bool:
@@ -165,8 +163,7 @@ class Standings:
     @property
     def is_uneven(self) -> bool:
         """Whether not all controllers have the same runs."""
-        by_controller = next(iter(self.runs.values()), {})
-        return len({frozenset(runs) for runs in by_controller.values()}) > 1
+        return len({frozenset(runs) for runs in self._by_controller.values()}) > 1
 
     @cached_property
     def relevant_differences(self) -> dict[str, float]:
@@ -184,7 +181,7 @@ class Standings:
         """The controllers, the best first; those of one rank in the order of their medians."""
         sound, total = self._sound, len(self.failed)
         failing = sorted(failed for failed in self.failed.values() if failed)
-        count = {name: len(values) for name, values in next(iter(self.runs.values()), {}).items()}
+        count = {name: len(values) for name, values in self._by_controller.items()}
         behind = self._behind
         shown = total > 1 and self.failed != count and not self.disagreements
         ahead = dict.fromkeys(sound, 0)
@@ -203,7 +200,7 @@ class Standings:
 
     @property
     def is_ranked(self) -> bool:
-        """Whether anybody has a rank: not where there is one only, all runs failed, or scenarios disagree."""
+        """Whether there are ranks: not of one controller, where all runs failed, or scenarios disagree."""
         return any(standing.shown for standing in self.order)
 
     @property
@@ -214,10 +211,8 @@ class Standings:
     @cached_property
     def by_scenario(self) -> dict[str, "Standings"]:
         """The standings of each scenario that counts; none where there is but one."""
-        by_controller = next(iter(self.runs.values()), {})
-        names = dict.fromkeys(
-            cast("str", scenario) for runs in by_controller.values() for scenario, _ in runs
-        )
+        runs_of_each = self._by_controller.values()
+        names = dict.fromkeys(cast("str", scenario) for runs in runs_of_each for scenario, _ in runs)
         return {name: self._within(name) for name in names} if len(names) > 1 else {}
 
     @property
@@ -247,7 +242,7 @@ class Standings:
                 for of in combinations(self.by_scenario, 2)
             )
             for interaction in interactions({name: self.runs[key][name] for name in self._sound})
-            if interaction.told
+            if interaction.is_significant
             and leading >= {*interaction.pair}
             and abs(interaction.median) >= self.relevant_differences[key]
             and self._changes(key, interaction.pair, *cast("tuple[str, str]", interaction.conditions))
@@ -279,6 +274,11 @@ class Standings:
             return math.nan
         ratio = 1 + self.above(key, first, other).median / median_of_first
         return ratio if ratio >= 0 else math.nan
+
+    @property
+    def _by_controller(self) -> dict[str, Runs]:
+        """Return the runs of each controller by the first key; of the others they are the same runs."""
+        return next(iter(self.runs.values()), {})
 
     @cached_property
     def _sound(self) -> list[str]:
@@ -368,8 +368,7 @@ class Standings:
         places = []
         for key in self.keys:
             values = {
-                controller: metric_of(key).rank(sample.median)
-                for controller, sample in self.samples[key].items()
+                other: metric_of(key).rank(sample.median) for other, sample in self.samples[key].items()
             }
             known = sorted(value for value in values.values() if not math.isnan(value))
             places.append(known.index(values[name]) if values[name] in known else math.inf)
@@ -446,9 +445,8 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
     tasks = {name: _tasks(keys, group) for name, group in by_scenario.items() if name not in left_out}
-    return Standings(
-        keys, {key: dict(by_controller) for key, by_controller in runs.items()}, left_out, relevant, tasks
-    )
+    by_key: dict[str, dict[str, Runs]] = {key: dict(by_controller) for key, by_controller in runs.items()}
+    return Standings(keys, by_key, left_out, relevant, tasks)
 
 
 def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:

@@ -4,9 +4,9 @@ The seed is what is drawn at random, so each seed gives one value: where it has 
 variants), their median. Scenarios do not multiply the seeds. A run that failed has no value: it is counted,
 and never averaged away.
 
-Who is told apart is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips of
-signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
-differences of one seed may then change their signs together, which keeps how they hang together.
+Which controllers differ is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips
+of signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
+differences of one seed may then change their signs together, which keeps their correlation.
 """
 
 import math
@@ -147,9 +147,8 @@ class Comparisons:
     @cached_property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The largest groups that the data do not tell apart: two share one if and only if they are not."""
-        return groups(
-            self.order, {pair for pair, difference in self.differences.items() if difference.told_apart}
-        )
+        apart = {pair for pair, difference in self.differences.items() if difference.told_apart}
+        return groups(self.order, apart)
 
     @cached_property
     def letters(self) -> dict[str, str]:
@@ -182,11 +181,8 @@ class Comparisons:
     @cached_property
     def level_with_first(self) -> frozenset[str]:
         """Those that the pairs do not tell apart from the first; none where the seeds are too few."""
-        return (
-            frozenset()
-            if self.too_few_seeds
-            else self._to_first(lambda difference: not difference.told_apart)
-        )
+        level = self._to_first(lambda difference: not difference.told_apart)
+        return frozenset() if self.too_few_seeds else level
 
     @cached_property
     def ahead_of_first(self) -> frozenset[str]:
@@ -256,7 +252,7 @@ class Interaction(NamedTuple):
     constant: bool
 
     @property
-    def told(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the difference depends on the condition by more than chance explains."""
         return (self.constant and self.median != 0) or self.corrected <= LEVEL
 
