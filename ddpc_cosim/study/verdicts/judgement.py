@@ -113,8 +113,8 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
         name: _unavoidable(output, nothing.get(name), scenario) for name, output in outputs.items()
     }
     completed = resting is not None and resting.outcome is Outcome.COMPLETED
-    alone = nothing if completed else {}
-    sizes = {name: task_size(output, alone.get(name)) for name, output in outputs.items()}
+    at_rest = nothing if completed else {}
+    sizes = {name: task_size(output, at_rest.get(name)) for name, output in outputs.items()}
     parts = [_left(output, sizes[name], unavoidable[name]) for name, output in outputs.items()]
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
