@@ -180,7 +180,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox", "recorded_samples")
         head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
         values = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
-        told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
+        warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
         transient = run["transient"] or outcome in _TRANSIENT
         return CaseResult(
             **head,
@@ -188,7 +188,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             tracking=tuple(map(Tracking.read, run["tracking"])),
             outcome=outcome,
             failed=outcome is not Outcome.COMPLETED,
-            warnings=told,
+            warnings=warning_texts,
             folder=folder,
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
@@ -337,8 +337,8 @@ def accept_case(
             raise ConfigError(f"{RUN_FILE} is of {key} {str(run[key])[:100]}")
     try:
         if printed or left:
-            told = {"printed": printed, "left": run["left"] if left is None else dict(left)}
-            write_atomically(staged / RUN_FILE, sealed_json(run | told))
+            left_behind = {"printed": printed, "left": run["left"] if left is None else dict(left)}
+            write_atomically(staged / RUN_FILE, sealed_json(run | left_behind))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
@@ -405,11 +405,11 @@ def _check_staged(staged: Path, longest: dict[str, int]) -> None:
         if staged.is_symlink():
             raise ConfigError("its folder is a link")
         for path in staged.iterdir():
-            found = path.lstat()
-            if not (path.name in longest and stat.S_ISREG(found.st_mode) and found.st_nlink == 1):
+            status = path.lstat()
+            if not (path.name in longest and stat.S_ISREG(status.st_mode) and status.st_nlink == 1):
                 raise ConfigError(f"{recorded(path.name)} is not a file of its own")
-            if found.st_size > longest[path.name]:
-                raise ConfigError(f"{path.name} has {found.st_size} bytes; allowed: {longest[path.name]}")
+            if status.st_size > longest[path.name]:
+                raise ConfigError(f"{path.name} has {status.st_size} bytes; allowed: {longest[path.name]}")
     except OSError as error:
         raise damaged_files(staged, error) from error
 
@@ -419,7 +419,7 @@ def _not_written(folder: Path, error: OSError) -> CosimError:
     return CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept")
 
 
-def judge_again(folder: Path, settings: MetricSettings) -> None:
+def recompute_metrics(folder: Path, settings: MetricSettings) -> None:
     """Compute the metrics of a case again from its samples, where they depend on other settings by now.
 
     Raises
@@ -443,10 +443,10 @@ def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
         warnings.simplefilter("always")
         metrics = trace.metrics(settings)
     return {
-        "tracking": [asdict(one) for one in trace.tracking(settings)],
+        "tracking": [asdict(tracking) for tracking in trace.tracking(settings)],
         "metrics": metrics,
         "metric_warnings": [
-            recorded(one.message) for one in caught if issubclass(one.category, CosimWarning)
+            recorded(warning.message) for warning in caught if issubclass(warning.category, CosimWarning)
         ],
         "metric_settings": asdict(settings),
     }
@@ -547,10 +547,10 @@ def read_trace(folder: Path) -> Trace:
     columns, status = _read_signals(_signals(folder, run), _storage(run))
 
     def table(variables: list[Variable], prefixes: tuple[str, ...] = ("",)) -> FloatArray:
-        found = [
+        selected = [
             next(columns[header] for p in prefixes if (header := p + v.header) in columns) for v in variables
         ]
-        return np.column_stack(found) if found else np.empty((len(status), 0))
+        return np.column_stack(selected) if selected else np.empty((len(status), 0))
 
     return Trace(
         time=columns["time [s]"],

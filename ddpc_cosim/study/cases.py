@@ -50,11 +50,11 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.resolve import ResolvedStudy
 
 # What a case has besides all that decides its result.
-_NAMES, _SURROUNDINGS = (
+_NAMES, _OF_EXECUTION = (
     ("label", "id", "problem"),
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
-_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed", "shared_bounds")
+_NOT_DECISIVE = (*_NAMES, *_OF_EXECUTION, "late", "metrics", "seed", "shared_bounds")
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
 _RESTING = "idle"
@@ -237,7 +237,7 @@ def problems_with_cases(
         }
 
     matches = {pattern: matching(pattern) for pattern in patterns_of(only)}
-    if lost := [pattern for pattern, names in matches.items() if not names]:
+    if unmatched := [pattern for pattern, names in matches.items() if not names]:
         known = {
             word
             for problem, resolved in problems.items()
@@ -247,7 +247,7 @@ def problems_with_cases(
             if word
         }
         raise ConfigError(
-            [f"--only {pattern}: no case matches; {did_you_mean(pattern, known)}" for pattern in lost]
+            [f"--only {pattern}: no case matches; {did_you_mean(pattern, known)}" for pattern in unmatched]
         )
     return [name for name in problems if not matches or any(name in names for names in matches.values())]
 
@@ -264,7 +264,7 @@ def doing_nothing(cases: Iterable[Case]) -> list[Case]:
     for case in cases:
         if case.section["type"]:
             groups.setdefault((case.problem, case.scenario), {}).setdefault(case.seed, case)
-    return [one for driven in groups.values() for one in _at_rest(driven)]
+    return [case for driven in groups.values() for case in _at_rest(driven)]
 
 
 def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
@@ -309,7 +309,9 @@ def _sections(case: Case) -> list[dict[str, Any]]:
 def _files(case: Case) -> list[list[str]]:
     """Return the files that the settings of a case's controllers name, without the plant's own."""
     named = [
-        files_of(controller_class(one["type"]), one["settings"]) for one in _sections(case) if one["type"]
+        files_of(controller_class(section["type"]), section["settings"])
+        for section in _sections(case)
+        if section["type"]
     ]
     return [[path for path in paths if path != PLANT] for paths in named]
 
@@ -318,9 +320,9 @@ def _plants(case: Case) -> list[str]:
     """Return the plants that the settings of a case's controllers name; an empty one is the case's own."""
     return [
         name
-        for one in _sections(case)
-        if one["type"]
-        for name in plants_of(controller_class(one["type"]), one["settings"])
+        for section in _sections(case)
+        if section["type"]
+        for name in plants_of(controller_class(section["type"]), section["settings"])
     ]
 
 
@@ -335,7 +337,7 @@ def files_read(case: Case) -> list[Path]:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class CaseContext:
     """What a case finds around it where it is run.
 
     Parameters
@@ -354,7 +356,7 @@ class Surroundings:
 
     @classmethod
     def of(cls, case: Case) -> Self:
-        """Return the surroundings of a case where its study has been read."""
+        """Return the context of a case where its study has been read."""
         import cloudpickle  # a class that the worker cannot import goes along by value
 
         values = cloudpickle.dumps(values_of(plugins_in(case)))
@@ -376,7 +378,7 @@ def plants_in(case: Case) -> Iterator[str]:
 def leaves_nothing_behind(case: Case) -> bool:
     """Whether the process of a case is as good as new afterwards, unless something goes wrong.
 
-    That is where it runs nothing that can crash, an FMU that was supplied, and no one else's code, which may
+    That is where it runs nothing that can crash, an FMU that was supplied, and no code of others, which may
     keep what it likes in its modules.
     """
     if case.plant.isolated or not all(
@@ -388,7 +390,7 @@ def leaves_nothing_behind(case: Case) -> bool:
 
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
     """Return a hash of everything that decides a case's result, but for its seed."""
-    decisive = {one.name: getattr(case, one.name) for one in fields(case)}
+    decisive = {case_field.name: getattr(case, case_field.name) for case_field in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     if versions := case.conditions.versions:  # each scenario has conditions of its own
         decisive["versions"] = versions

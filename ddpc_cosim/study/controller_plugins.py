@@ -41,37 +41,37 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
         There is no such controller, or it cannot be loaded.
     """
     plugin = controller_class(kind)
-    found: list[tuple[Place, str]] = []
+    faults: list[tuple[Place, str]] = []
     known = declared_settings(plugin)
     arguments = {}
     for key, value in settings.items():
         if known and key not in known:
-            found.append(
+            faults.append(
                 ((key,), f"unknown setting of {kind}; {instead_of(plugin, key) or did_you_mean(key, known)}")
             )
             continue
         try:
             arguments[key] = from_plain(plugin, key, value)
         except SettingsError as error:
-            found += error.found
+            faults += error.found
     missing = [name for name in _required(plugin) if name not in settings]
     if missing:
-        raise SettingsError(found + [((name,), "required setting is missing") for name in missing])
+        raise SettingsError(faults + [((name,), "required setting is missing") for name in missing])
     try:
         controller = plugin(**arguments)
     except MissingLibraryError:
         raise
     except SettingsError as error:
-        found += error.found
+        faults += error.found
     except ConfigError as error:
-        found += [((), fault) for fault in error.faults]
+        faults += [((), fault) for fault in error.faults]
     except Exception as error:  # a third party's constructor can fail in any way
-        if not found:  # what was left out above may be all that it misses
-            found.append(((), str(error)))
+        if not faults:  # what was left out above may be all that it misses
+            faults.append(((), str(error)))
     except SystemExit as error:
-        found.append(((), f"SystemExit: {error}"))
-    if found:
-        raise SettingsError(found)
+        faults.append(((), f"SystemExit: {error}"))
+    if faults:
+        raise SettingsError(faults)
     return controller
 
 
@@ -79,5 +79,5 @@ def _required(plugin: type[Controller]) -> list[str]:
     """Return the names of settings that have no default."""
     if not is_dataclass(plugin):
         return []
-    own = [field for field in fields(plugin) if field.init and field.default is MISSING]
-    return [field.name for field in own if field.default_factory is MISSING]
+    without_default = [field for field in fields(plugin) if field.init and field.default is MISSING]
+    return [field.name for field in without_default if field.default_factory is MISSING]

@@ -103,8 +103,8 @@ def resolve_controllers(
             if varied and name in taken:
                 errors.add((*place, "sweep"), f'two controllers are called "{name}"; change a value')
             taken.add(name)
-            one = StudyController(name, of, varied, (*place, "settings"), {**section.settings, **varied})
-            controllers.append(_build(one, section, folder, errors, in_time, late, sweep) or one)
+            named = StudyController(name, of, varied, (*place, "settings"), {**section.settings, **varied})
+            controllers.append(_build(named, section, folder, errors, in_time, late, sweep) or named)
     return controllers
 
 
@@ -199,9 +199,9 @@ def _build(
             return named._replace(settings=given, late=late[section.type])
         controller, settings, uses_recording, horizon = in_time(asked)
         # What a file cannot say is a default, or what the controller has made of what the file says.
-        own = {name: value for name, value in settings.items() if is_plain(value)}
+        plain_settings = {name: value for name, value in settings.items() if is_plain(value)}
         return named._replace(
-            settings=map_files(kind, given | own, absolute),
+            settings=map_files(kind, given | plain_settings, absolute),
             controller=controller,
             uses_recording=uses_recording,
             horizon=horizon,

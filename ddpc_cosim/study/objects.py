@@ -303,7 +303,7 @@ class Problem:
         """
         nominal = Scenario(noise=self.noise, conditions=self.conditions, events=self.events)
         scenarios = self.scenarios or {"nominal": nominal}
-        inputs = self._names("inputs") if any(one.excitation for one in scenarios.values()) else []
+        inputs = self._names("inputs") if any(scenario.excitation for scenario in scenarios.values()) else []
         references = self.reference
         if isinstance(references, Reference):
             references = {self._names("outputs")[0]: references}
@@ -389,8 +389,12 @@ def _given(table: Table) -> Table:
 
 def _of(section: type[Any], given: Any, *others: str) -> Table:
     """Return what an object says of a section's keys by fields of the same names, without defaults."""
-    names = {one.name for one in fields(given)}
-    keys = {key: one for key, one in declared_fields(section).items() if key in names and key not in others}
+    names = {given_field.name for given_field in fields(given)}
+    keys = {
+        key: declared
+        for key, declared in declared_fields(section).items()
+        if key in names and key not in others
+    }
     said = {key: plain(getattr(given, key)) for key in keys}
     if said.get("bounds"):
         said["bounds"] = _limits(given.bounds)
@@ -469,8 +473,8 @@ class Study:
         sweep: Mapping[str, Any] | Sequence[Mapping[str, Any]] = (),
     ) -> None:
         faults = list[str]()
-        told = {"title": title, "summary": summary, "source": source}
-        said = _given({**told, "report": plain(report)})
+        words = {"title": title, "summary": summary, "source": source}
+        said = _given({**words, "report": plain(report)})
         if not isinstance(seeds, Iterable):
             faults.append(f"seeds = {seeds!r}: needed: a sequence, e.g. [{seeds!r}] or range({seeds!r})")
             seeds = ()
@@ -480,8 +484,8 @@ class Study:
             tables = self._problem_tables("recording.csv", problems, faults) | tables
         else:
             tables[PROBLEMS] = {
-                key: self._problem_tables(f"recording-{key}.csv", one, faults)
-                for key, one in problems.items()
+                key: self._problem_tables(f"recording-{key}.csv", problem, faults)
+                for key, problem in problems.items()
             }
         sections = _controllers(controllers, list(tables.get(PROBLEMS, ())), faults)
         tables |= absolute_paths({CONTROLLERS: sections, **_given({SWEEP: plain(sweep)})}, Path.cwd())
@@ -518,7 +522,7 @@ class Study:
         """
         made = cls.__new__(cls)
         made._recordings, made._file = {}, read_file(str(study))
-        if faults := made._file.told_faults():
+        if faults := made._file.fault_messages():
             raise ConfigError(faults)
         return made
 
@@ -619,7 +623,7 @@ class Study:
     def __repr__(self) -> str:
         try:
             seeds = expand_seeds(self._file.tables.get("seeds", [0]))
-        except ValueError:  # which is told when it is run
+        except ValueError:  # which is reported when it is run
             seeds = []
         counts = ((self.problems, "problem"), (self.controllers, "controller"), (seeds, "seed"))
         words = (f"{len(some)} {word}{'' if len(some) == 1 else 's'}" for some, word in counts)
@@ -636,8 +640,8 @@ class Study:
 
 def _table(tables: Table, key: str) -> Table:
     """Return a table of a file, which is not checked yet: nothing if it is something else."""
-    found = tables.get(key)
-    return found if isinstance(found, dict) else {}
+    content = tables.get(key)
+    return content if isinstance(content, dict) else {}
 
 
 class _Silent:
@@ -679,7 +683,7 @@ def _controllers(controllers: Controllers, problems: Sequence[str], faults: list
             f'controllers: "{label}": no problem "{name}"; {did_you_mean(name, problems)}' for name in unknown
         ]
         try:
-            tables = {name: _controller(label, one) for name, one in by_problem.items()}
+            tables = {name: _controller(label, entry) for name, entry in by_problem.items()}
         except ConfigError as error:
             faults += error.faults
             continue

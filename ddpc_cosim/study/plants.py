@@ -302,35 +302,35 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         from ddpc_cosim.coupling.ssp import read_ssp
 
         system = read_ssp(Path(section.ssp))
-        connections = [one.connection for one in system.connections]
+        connections = [connection.connection for connection in system.connections]
         connectors = (*system.inputs, *system.outputs)
         experiment = system.default_experiment
         understood = system.warnings
         for warning in understood:
             warnings.warn(warning, CosimWarning, stacklevel=3)
-        for one in system.parts:
-            parts[one.name] = PlantSpec("", one.fmu, fmi_type=one.fmi_type, start=one.start)
-            parameters |= {f"{one.name}.{name}": value for name, value in one.parameters.items()}
+        for part in system.parts:
+            parts[part.name] = PlantSpec("", part.fmu, fmi_type=part.fmi_type, start=part.start)
+            parameters |= {f"{part.name}.{name}": value for name, value in part.parameters.items()}
         for name in given.keys() - parts.keys():
             faults.append(f'parts: no part "{name}" in the SSP; {did_you_mean(name, parts)}')
         for name in given.keys() & parts.keys():
-            own = given[name]
+            part_section = given[name]
             parts[name] = replace(
                 parts[name],
-                start={**parts[name].start, **own.start},
-                isolation={"isolated": True} if own.isolated else {},
-                fmi_type=parts[name].fmi_type if own.fmi_type == "auto" else own.fmi_type,
+                start={**parts[name].start, **part_section.start},
+                isolation={"isolated": True} if part_section.isolated else {},
+                fmi_type=parts[name].fmi_type if part_section.fmi_type == "auto" else part_section.fmi_type,
             )
     else:
-        for name, own in given.items():
+        for name, part_section in given.items():
             try:
-                parts[name] = PlantSpec.of_part(own)
+                parts[name] = PlantSpec.of_part(part_section)
             except CosimError as error:
                 faults.append(f'part "{name}": {error}')
     if faults:
         raise ConfigError(faults)
-    for name, own in given.items():
-        parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
+    for name, part_section in given.items():
+        parameters |= {f"{name}.{key}": value for key, value in part_section.parameters.items()}
     options |= {"steps": steps} if steps else {}
     return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment, understood)
 

@@ -63,21 +63,22 @@ class WholeStudy:
 
     def tables(self) -> Table:
         """Return the study as a file says it."""
-        written = {name: write(one) for name, one in self.problems.items()}
-        for one in written.values():
-            if not one["variant_of"]:
-                del one["variant_of"], one["varied"]
+        written = {name: write(study) for name, study in self.problems.items()}
+        for tables in written.values():
+            if not tables["variant_of"]:
+                del tables["variant_of"], tables["varied"]
         if self.is_flat:
             only: Table = written[self.head.name]
             return only
         controllers = {
-            key: _shared({name: one[CONTROLLERS].get(key, False) for name, one in written.items()})
-            for key in dict.fromkeys(key for one in written.values() for key in one[CONTROLLERS])
+            key: _shared({name: tables[CONTROLLERS].get(key, False) for name, tables in written.items()})
+            for key in dict.fromkeys(key for tables in written.values() for key in tables[CONTROLLERS])
         }
         return {
             **{key: getattr(self.head, key) for key in OF_HEAD},
             PROBLEMS: {
-                name: {key: one[key] for key in _OF_PROBLEM if key in one} for name, one in written.items()
+                name: {key: tables[key] for key in _OF_PROBLEM if key in tables}
+                for name, tables in written.items()
             },
             CONTROLLERS: controllers,
         }
@@ -92,7 +93,7 @@ class WholeStudy:
         """Return the study on other seeds; on none: on its own."""
         if not seeds:
             return self
-        changed = {name: replace(one, seeds=seeds) for name, one in self.problems.items()}
+        changed = {name: replace(study, seeds=seeds) for name, study in self.problems.items()}
         head = changed[self.head.name] if self.is_flat else replace(self.head, seeds=seeds)
         return type(self)(head, changed)
 
@@ -101,19 +102,20 @@ def _written(tables: Table) -> Study:
     """Return a flat study that was run; conditions that are not installed here are kept by their names."""
     known, scenarios = declared_fields(ScenarioSection), tables.get("scenarios")
     gone = {
-        name: {key: value for key, value in one.items() if key not in known and _is_effect(value)}
-        for name, one in (scenarios.items() if isinstance(scenarios, dict) else ())
-        if isinstance(one, dict) and one.keys() - known.keys()
+        name: {key: value for key, value in scenario.items() if key not in known and _is_effect(value)}
+        for name, scenario in (scenarios.items() if isinstance(scenarios, dict) else ())
+        if isinstance(scenario, dict) and scenario.keys() - known.keys()
     }
     if not gone:
         return read(Study, tables)
     sound = {
-        name: {key: value for key, value in one.items() if key not in gone.get(name, {})}
-        for name, one in tables["scenarios"].items()
+        name: {key: value for key, value in scenario.items() if key not in gone.get(name, {})}
+        for name, scenario in tables["scenarios"].items()
     }
     study = read(Study, tables | {"scenarios": sound})
     kept = {
-        name: replace(one, effects=one.effects | gone.get(name, {})) for name, one in study.scenarios.items()
+        name: replace(scenario, effects=scenario.effects | gone.get(name, {}))
+        for name, scenario in study.scenarios.items()
     }
     return replace(study, scenarios=kept)
 
@@ -169,14 +171,14 @@ def flat_studies(tables: Table, errors: ValidationErrors) -> Iterator[FlatStudy]
             continue
         if STUDY in problem:  # it could not be taken, which has been reported
             continue
-        own = dict(problem)
-        for key in own.keys() & {"seeds", CONTROLLERS, PROBLEMS, "name"}:
+        problem_tables = dict(problem)
+        for key in problem_tables.keys() & {"seeds", CONTROLLERS, PROBLEMS, "name"}:
             errors.add((*place, key), "belongs to the study and not to one of its problems")
-            del own[key]
+            del problem_tables[key]
         flat = {
             "name": name,
             **({"seeds": tables["seeds"]} if "seeds" in tables else {}),
-            **replaced({"report": tables["report"]} if "report" in tables else {}, own),
+            **replaced({"report": tables["report"]} if "report" in tables else {}, problem_tables),
             CONTROLLERS: _controllers_of(name, controllers),
         }
         if isinstance(flat.get("report"), dict) and isinstance(controllers, dict):
@@ -203,15 +205,15 @@ def _controllers_of(problem: str, controllers: Any) -> Any:
     """Return the controllers of a problem, with what differs there."""
     if not isinstance(controllers, dict):
         return controllers
-    found: Table = {}
+    sections: Table = {}
     for key, section in controllers.items():
         changes = _changes(section, problem)
         if not isinstance(section, dict):
-            found[key] = section
+            sections[key] = section
         elif changes is not False:
             base = {name: value for name, value in section.items() if name != PROBLEMS}
-            found[key] = changed_controller(base, changes, base.get("type"))
-    return found
+            sections[key] = changed_controller(base, changes, base.get("type"))
+    return sections
 
 
 def _changes(section: Any, problem: str) -> Any:
@@ -223,15 +225,15 @@ def _changes(section: Any, problem: str) -> Any:
 
 def _origin(tables: Table, problem: str, place: Place) -> Place:
     """Return where a place of a problem's flat study stands in the whole study."""
-    first, own = place[0], (PROBLEMS, problem)
+    first, place_of_problem = place[0], (PROBLEMS, problem)
     if first == CONTROLLERS and len(place) > 2:
         changes = _changes(tables[CONTROLLERS][place[1]], problem) or {}
         of_problem = has_key(changes, place[2:4])  # a key, and a key in it
-        return (*place[:2], *own, *place[2:]) if of_problem else place
+        return (*place[:2], *place_of_problem, *place[2:]) if of_problem else place
     if first == "name":
-        return own
+        return place_of_problem
     of_study = first == "report" and not has_key(tables[PROBLEMS][problem], place[:2])
-    return place if of_study or first in ("seeds", CONTROLLERS) else (*own, *place)
+    return place if of_study or first in ("seeds", CONTROLLERS) else (*place_of_problem, *place)
 
 
 def has_key(table: Any, place: Place) -> bool:
@@ -250,27 +252,27 @@ def _shared(sections: Mapping[str, Any]) -> Table:
 
     The inverse of :func:`_controllers_of`.
     """
-    tables = [one for one in sections.values() if one is not False]
-    base = _common(tables) if all(one["type"] == tables[0]["type"] for one in tables) else {}
+    tables = [section for section in sections.values() if section is not False]
+    base = _common(tables) if all(table["type"] == tables[0]["type"] for table in tables) else {}
     for key in tables[0]:
-        if key not in base and base and all(isinstance(one.get(key), dict) for one in tables):
-            base[key] = _common([one[key] for one in tables])
-    changes = {name: one and _difference(base, one) for name, one in sections.items()}
+        if key not in base and base and all(isinstance(table.get(key), dict) for table in tables):
+            base[key] = _common([table[key] for table in tables])
+    changes = {name: section and _difference(base, section) for name, section in sections.items()}
     changes = {name: change for name, change in changes.items() if change is False or change}
     return base | ({PROBLEMS: changes} if changes else {})
 
 
 def _common(tables: Sequence[Table]) -> Table:
     first, *others = tables
-    return {key: v for key, v in first.items() if all(key in one and one[key] == v for one in others)}
+    return {key: v for key, v in first.items() if all(key in other and other[key] == v for other in others)}
 
 
 def _difference(base: Table, section: Table) -> Table:
     """Return what of a section its base does not say."""
-    found: Table = {}
+    differences: Table = {}
     for key, value in section.items():
         if key not in base:
-            found[key] = value
+            differences[key] = value
         elif base[key] != value:
-            found[key] = {entry: item for entry, item in value.items() if entry not in base[key]}
-    return found
+            differences[key] = {entry: item for entry, item in value.items() if entry not in base[key]}
+    return differences

@@ -17,7 +17,7 @@ from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import Fault, StudyFile, find_study
 from ddpc_cosim.study.problems import FlatStudy, flat_studies, has_key
-from ddpc_cosim.study.resolve import Known, ResolvedProblems, ResolvedStudy, resolve
+from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy, StudyCache, resolve
 from ddpc_cosim.study.variants import with_variants
 
 _MOST_LISTED = 4
@@ -64,30 +64,30 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     head = None
     if PROBLEMS in tables:
         parts = list(flat_studies(tables, common))
-        own = {key: tables[key] for key in declared_fields(StudyHead) if key in tables}
-        head = read_in(StudyHead, own, file.folder, common)
+        head_tables = {key: tables[key] for key in declared_fields(StudyHead) if key in tables}
+        head = read_in(StudyHead, head_tables, file.folder, common)
     if SWEEP in tables:
         parts = list(with_variants(parts, tables[SWEEP], common))
-    # Where each error stands, and in which problems: one in what they share is told once.
-    found: dict[Fault, list[str]] = {fault: [] for fault in file.faults}
+    # Where each error stands, and in which problems: one in what they share is reported once.
+    faults: dict[Fault, list[str]] = {fault: [] for fault in file.faults}
     problems = dict[str, ResolvedStudy]()
-    known = Known()
+    cache = StudyCache()
     try:
         for part in parts:
             errors = ValidationErrors()
-            resolved = resolve(read_in(Study, part.tables, file.folder, errors), file.folder, errors, known)
+            resolved = resolve(read_in(Study, part.tables, file.folder, errors), file.folder, errors, cache)
             for place, messages in errors.found.items():
                 for message in messages:
-                    within = found.setdefault((*file.origin(part.origin(place)), message), [])
+                    within = faults.setdefault((*file.origin(part.origin(place)), message), [])
                     within += [str(part.tables["name"])] if part.problem not in within else []
             if resolved is not None:
                 problems[resolved.study.name] = resolved
     finally:
-        known.forget()
+        cache.forget()
     for place, messages in common.found.items():
-        found |= {(*file.origin(place), message): [] for message in messages}
-    if found:
-        raise ConfigError(_in_order(found, parts, file))
+        faults |= {(*file.origin(place), message): [] for message in messages}
+    if faults:
+        raise ConfigError(_in_order(faults, parts, file))
     first = next(iter(problems.values())).study
     if head is None and len(problems) > 1:  # a flat file with variants
         head = StudyHead(**{key: getattr(first, key) for key in declared_fields(StudyHead)})
@@ -98,28 +98,30 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         )
     _warn_of_references(problems)
     _warn_of_missing_libraries(problems)
-    limits = (one.study.loop.memory_limit for one in problems.values())
-    if told := limits_warning(limit for limit in limits if limit is not None):
-        warnings.warn(told, CosimWarning, stacklevel=2)
+    limits = (problem.study.loop.memory_limit for problem in problems.values())
+    if warning := limits_warning(limit for limit in limits if limit is not None):
+        warnings.warn(warning, CosimWarning, stacklevel=2)
     return ResolvedProblems(head or first, problems, file)
 
 
 def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
     """Say which references go beyond the limits of their outputs, and for whom, where not for all."""
-    for name, one in problems.items():
-        loop = one.study.loop
+    for name, problem in problems.items():
+        loop = problem.study.loop
         time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
         table = np.column_stack(
-            [values_at(one.reference[v.name], f"reference of {v.name}", time) for v in one.outputs]
+            [values_at(problem.reference[v.name], f"reference of {v.name}", time) for v in problem.outputs]
         )
-        found: dict[str, list[tuple[str, str]]] = {}
-        pairs = [(controller, scenario) for controller in one.bounds for scenario in one.scenario_bounds]
+        by_text: dict[str, list[tuple[str, str]]] = {}
+        pairs = [
+            (controller, scenario) for controller in problem.bounds for scenario in problem.scenario_bounds
+        ]
         for controller, scenario in pairs:
-            limits = one.bounds[controller] | one.scenario_bounds[scenario]
-            y_min, y_max = np.array([limits[v.name] for v in one.outputs]).T
-            for text in references_beyond_limits(one.outputs, table, y_min, y_max):
-                found.setdefault(text, []).append((controller, scenario))
-        for text, held in found.items():
+            limits = problem.bounds[controller] | problem.scenario_bounds[scenario]
+            y_min, y_max = np.array([limits[v.name] for v in problem.outputs]).T
+            for text in references_beyond_limits(problem.outputs, table, y_min, y_max):
+                by_text.setdefault(text, []).append((controller, scenario))
+        for text, held in by_text.items():
             where = [f"problem {name}"] if len(problems) > 1 else []
             if len(held) < len(pairs):
                 where += [", ".join(dict.fromkeys(word for pair in held for word in pair))]
@@ -130,8 +132,8 @@ def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
 def _warn_of_missing_libraries(problems: Mapping[str, ResolvedStudy]) -> None:
     """Say what is not installed, and of which controllers no case can be run without."""
     needed: dict[str, dict[str, None]] = {}
-    for one in problems.values():
-        for controller, what in one.lacking.items():
+    for problem in problems.values():
+        for controller, what in problem.lacking.items():
             needed.setdefault(what, {})[controller] = None
     for what, controllers in needed.items():
         noun = "controller" if len(controllers) == 1 else "controllers"
@@ -139,18 +141,18 @@ def _warn_of_missing_libraries(problems: Mapping[str, ResolvedStudy]) -> None:
         warnings.warn(f"{what}; without, {whose}", CosimWarning, stacklevel=3)
 
 
-def _in_order(found: Mapping[Fault, list[str]], parts: Sequence[FlatStudy], file: StudyFile) -> list[str]:
+def _in_order(faults: Mapping[Fault, list[str]], parts: Sequence[FlatStudy], file: StudyFile) -> list[str]:
     """Return the errors in the order of their lines, those of the file itself first.
 
     An error in what several problems share names those that have it, unless it is in all that share it.
     """
     located = []
-    for (of, place, message), within in found.items():
+    for (of, place, message), within in faults.items():
         shared = {
             part.problem for part in parts if place[0] != "controllers" or has_key(part.tables, place[:2])
         }
         is_of_some = place[0] not in (PROBLEMS, SWEEP) and PROBLEMS not in place[2:3]
         named = ", ".join(within[:_MOST_LISTED]) + (", ..." if within[_MOST_LISTED:] else "")
         which = f" (problem {named})" if within and is_of_some and not shared <= set(within) else ""
-        located.append(((of is not file, of.label, of.line(place)), of.told(place, message + which)))
+        located.append(((of is not file, of.label, of.line(place)), of.message(place, message + which)))
     return [text for _, text in sorted(located, key=itemgetter(0))]

@@ -117,7 +117,7 @@ class ResolvedProblems:
     @property
     def whole(self) -> WholeStudy:
         """The study as it is written."""
-        return WholeStudy(self.head, {name: one.study for name, one in self.problems.items()})
+        return WholeStudy(self.head, {name: problem.study for name, problem in self.problems.items()})
 
     @property
     def problem(self) -> ResolvedStudy:
@@ -126,7 +126,7 @@ class ResolvedProblems:
         return only
 
 
-class Known:
+class StudyCache:
     """What has been found out about plants and controllers, for all problems of a study."""
 
     def __init__(self) -> None:
@@ -140,11 +140,11 @@ class Known:
 
     def variables(self, spec: PlantSpec) -> PlantDescription:
         """Return the variables of a plant, which is asked once."""
-        found = next((variables for known, variables in self._variables if known == spec), None)
-        if found is None:
-            found = spec.variables()
-            self._variables.append((spec, found))
-        return found
+        description = next((variables for known, variables in self._variables if known == spec), None)
+        if description is None:
+            description = spec.variables()
+            self._variables.append((spec, description))
+        return description
 
     def forget(self) -> None:
         """Let go of threads and files."""
@@ -153,7 +153,7 @@ class Known:
         forget_cells()
 
 
-def resolve(study: Study, folder: Path, errors: ValidationErrors, known: Known) -> ResolvedStudy | None:
+def resolve(study: Study, folder: Path, errors: ValidationErrors, cache: StudyCache) -> ResolvedStudy | None:
     """Look up everything that a study names, and check that it fits together.
 
     Parameters
@@ -164,7 +164,7 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors, known: Known) 
         Folder of the file: paths in it are relative to this.
     errors : ValidationErrors
         What was found before; what is found here is added.
-    known : Known
+    cache : StudyCache
         What is known from other problems of the study; what is found out here is added.
 
     Returns
@@ -172,7 +172,7 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors, known: Known) 
     resolved : ResolvedStudy or None
         None if there are errors.
     """
-    return _Resolution(study, folder, errors, known).result()
+    return _Resolution(study, folder, errors, cache).result()
 
 
 def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -186,10 +186,10 @@ def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
-    def __init__(self, study: Study, folder: Path, errors: ValidationErrors, known: Known) -> None:
-        self.study, self.errors, self.known = study, errors, known
-        self.in_time = known.in_time(time_limit(study))
-        self.controllers = resolve_controllers(study, folder, errors, self.in_time, known.late) or []
+    def __init__(self, study: Study, folder: Path, errors: ValidationErrors, cache: StudyCache) -> None:
+        self.study, self.errors, self.cache = study, errors, cache
+        self.in_time = cache.in_time(time_limit(study))
+        self.controllers = resolve_controllers(study, folder, errors, self.in_time, cache.late) or []
         self.stabiliser = resolve_stabiliser(study, folder, errors, self.in_time)
         self._check_report()
         for controller in self.controllers:
@@ -232,7 +232,10 @@ class _Resolution:
             outputs=self.outputs.variables,
             measurements=self.measurements.variables,
             reference=self.references,
-            bounds={one.name: self.shared_bounds | self.own_bounds[one.of] for one in self.controllers},
+            bounds={
+                controller.name: self.shared_bounds | self.own_bounds[controller.of]
+                for controller in self.controllers
+            },
             shared_bounds=self.shared_bounds,
             scenario_bounds=self.scenario_bounds,
             excitations=self.excitations,
@@ -241,16 +244,20 @@ class _Resolution:
             metrics=self._metrics(),
             recording=self.recording,
             late={
-                one.name: late_call(self.study.controllers[one.of].type, one.late, self.in_time.seconds)
-                for one in self.controllers
-                if one.late
+                controller.name: late_call(
+                    self.study.controllers[controller.of].type, controller.late, self.in_time.seconds
+                )
+                for controller in self.controllers
+                if controller.late
             },
-            lacking={one.name: one.lacking for one in self.controllers if one.lacking},
+            lacking={
+                controller.name: controller.lacking for controller in self.controllers if controller.lacking
+            },
         )
 
     def _metrics(self) -> MetricSettings:
         cost, loop = self.study.metrics.cost, self.study.loop
-        largest = max((one.horizon for one in self.controllers), default=0)
+        largest = max((controller.horizon for controller in self.controllers), default=0)
         limits = map(loop.preview_of, self.study.scenarios.values())
         preview = max(largest if limit is None else min(limit, largest) for limit in limits)
         return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
@@ -352,7 +359,7 @@ class _Resolution:
             return None
         try:
             spec = PlantSpec.of(section, folder)
-            return spec, self.known.variables(spec)
+            return spec, self.cache.variables(spec)
         except CosimError as error:
             for fault in getattr(error, "faults", (str(error),)):
                 self.errors.add((*_PLANT, *self._of_plant(fault)), fault)
@@ -361,8 +368,8 @@ class _Resolution:
     def _of_plant(self, fault: str) -> Place:
         """Return the keys below the plant's that a fault is of."""
         section = self.study.plant
-        for i, one in enumerate(section.connections):
-            if fault.startswith(str(one)):
+        for i, connection in enumerate(section.connections):
+            if fault.startswith(str(connection)):
                 return "connections", i
         for i, part in enumerate(section.parts):
             if fault.startswith(f'part "{part.name}"'):
@@ -393,15 +400,15 @@ class _Resolution:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
         sizes = [selection.size for selection in (self.inputs, self.outputs, self.measurements)]
-        for i, one in enumerate(self.controllers):
-            if recording is None and one.uses_recording:
+        for i, controller in enumerate(self.controllers):
+            if recording is None and controller.uses_recording:
                 lacking = "learns from a recording, and the study has no recording section"
-                self.errors.add(("controllers", one.name), lacking, _RECORDING)
-            elif recording is not None and one.controller is not None and all(sizes):
-                needed = self._length_needed(i, one.controller, sizes)
-                self._check_length(recording, one.name, needed)
+                self.errors.add(("controllers", controller.name), lacking, _RECORDING)
+            elif recording is not None and controller.controller is not None and all(sizes):
+                needed = self._length_needed(i, controller.controller, sizes)
+                self._check_length(recording, controller.name, needed)
                 for scenario in self.study.scenarios:
-                    self._check_changed_length(scenario, one.name, needed)
+                    self._check_changed_length(scenario, controller.name, needed)
         if self.study.loop.start == "recording-end" and (recording is None or recording.file):
             lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
             self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)

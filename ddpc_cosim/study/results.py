@@ -125,12 +125,14 @@ class StudyResults:
         if len(self.whole.problems) == 1:
             return (self,)
         names = self.whole.problems
-        own = self._views([name for name in names if not names[name].variant_of])
-        return own or self._views(list(names))
+        views = self._views([name for name in names if not names[name].variant_of])
+        return views or self._views(list(names))
 
     def variants(self, problem: str) -> tuple["StudyResults", ...]:
         """Return the results of each variant of a problem by the study's sweep, as those of a study."""
-        return self._views([name for name, one in self.whole.problems.items() if one.variant_of == problem])
+        return self._views(
+            [name for name, study in self.whole.problems.items() if study.variant_of == problem]
+        )
 
     def _views(self, names: Sequence[str]) -> tuple["StudyResults", ...]:
         cases: dict[str, list[CaseResult]] = {name: [] for name in self.whole.problems}
@@ -142,13 +144,13 @@ class StudyResults:
         damaged: dict[str, dict[str, str]] = {name: {} for name in self.whole.problems}
         longest_first = sorted(self.whole.problems, key=len, reverse=True)
         for id, why in self.damaged.items():
-            found = (name for name in longest_first if id.startswith(f"{name}_"))
-            damaged[next(found, self._own_name)][id] = why
+            matches = (name for name in longest_first if id.startswith(f"{name}_"))
+            damaged[next(matches, self._own_name)][id] = why
         facts: dict[str, dict[str, str]] = {}
         for key, fact in self.provenance.items():
-            problem, _, own = key.partition(_OF_PROBLEM)
-            of_one = problem if own and problem in self.whole.problems else ""
-            facts.setdefault(of_one, {})[own if of_one else key] = fact
+            problem, _, problem_key = key.partition(_OF_PROBLEM)
+            owner = problem if problem_key and problem in self.whole.problems else ""
+            facts.setdefault(owner, {})[problem_key if owner else key] = fact
         return tuple(
             StudyResults(
                 self.folder,
@@ -246,7 +248,7 @@ class StudyResults:
         """
         from ddpc_cosim.study.verdicts.findings import findings_of
 
-        return {one.study.name: findings_of(one.study, one.cases) for one in self.problems()}
+        return {result.study.name: findings_of(result.study, result.cases) for result in self.problems()}
 
     def shares(self, metric: str = "") -> "pd.DataFrame":
         """Return how far each run comes on the way between the study's reference points.
@@ -306,20 +308,20 @@ class StudyResults:
         if not of_controller:
             known = dict.fromkeys(case.label for case in self.cases)
             raise ConfigError(f'no controller "{controller}"; {did_you_mean(controller, known)}')
-        found = [
+        matches = [
             case
             for case in of_controller
             if all(value in ("", getattr(case, key)) for key, value in asked.items())
         ]
         words = ", ".join(f"{key} = {value}" for key, value in asked.items() if value != "")
-        if not found:
+        if not matches:
             there = ", ".join(case.id for case in of_controller[:_MOST_LISTED])
             raise ConfigError(f"{controller}: no run with {words}; there are {there}")
         for key in ("problem", "scenario"):
-            several = dict.fromkeys(getattr(case, key) for case in found)
+            several = dict.fromkeys(getattr(case, key) for case in matches)
             if len(several) > 1:
                 raise ConfigError(f"{controller}: several {key}s: {', '.join(several)}; say which {key}")
-        return found[0].trace()
+        return matches[0].trace()
 
     def report(self, path: str | Path | None = None) -> Path:
         """Write the report, by default as ``report.html`` beside the results, and return its path.
@@ -337,12 +339,12 @@ class StudyResults:
         Those of a controller that differ in numbers only are one, in the words of its first case.
         """
         words: dict[tuple[str, str], str] = {}
-        found: dict[tuple[str, str], dict[str, CaseResult]] = {}
+        grouped: dict[tuple[str, str], dict[str, CaseResult]] = {}
         for case in self.cases:
             for text in case.warnings:
                 first = words.setdefault((case.controller, alike(text)), text)
-                found.setdefault((case.controller, first), {})[case.id] = case
-        return {key: tuple(cases.values()) for key, cases in found.items()}
+                grouped.setdefault((case.controller, first), {})[case.id] = case
+        return {key: tuple(cases.values()) for key, cases in grouped.items()}
 
 
 def provenance_of(problem: str, key: str) -> str:
@@ -352,7 +354,9 @@ def provenance_of(problem: str, key: str) -> str:
 
 def report_formats() -> list[str]:
     """Return the formats that reports are written in: the installed writers."""
-    return [one.name for one in installed("reports") if callable(one.value) and one.name != _OPEN_LOOP]
+    return [
+        plugin.name for plugin in installed("reports") if callable(plugin.value) and plugin.name != _OPEN_LOOP
+    ]
 
 
 def report_writer(form: str) -> Callable[[Sequence[StudyResults], Path], Path]:
@@ -415,7 +419,7 @@ def load_results(folder: str | Path) -> StudyResults:
 def _warn_of_conditions(study: "WholeStudy") -> None:
     """Say which conditions of a study are of packages that are not installed any more."""
     known = all_conditions()
-    scenarios = [one for problem in study.problems.values() for one in problem.scenarios.items()]
+    scenarios = [item for problem in study.problems.values() for item in problem.scenarios.items()]
     gone: dict[str, dict[str, None]] = {}
     for name, scenario in scenarios:
         for key in scenario.effects.keys() - known.keys():
@@ -468,8 +472,8 @@ def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Lo
     return Loaded(
         tuple(
             case
-            for problem, own in cases.items()
-            for case in judged(study.problems[problem].scenarios, own, resting)
+            for problem, problem_cases in cases.items()
+            for case in judged(study.problems[problem].scenarios, problem_cases, resting)
         ),
         tuple(resting.values()),
         damaged,
@@ -487,22 +491,22 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
         It holds those of another study, which is one of another name that neither extends the other, nor both
         a third, or one with other plants only; or it cannot be written to.
     """
-    path, own = folder / STUDY_FILE, study.tables()
+    path, study_tables = folder / STUDY_FILE, study.tables()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_left_behind(folder, STAGING)
         if not path.exists():
             _write_first(path, study.toml())
         there = toml_tables(path.read_bytes().decode())
-        others, names = _plants(there), {there.get("name", own["name"]), *there.get("based_on", ())}
+        others, names = _plants(there), {there.get("name", study_tables["name"]), *there.get("based_on", ())}
     except (ValueError, AttributeError, TypeError):  # damaged: whose it was is not known, and no case is lost
         return
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
-    if names.isdisjoint({own["name"], *own["based_on"]}):
-        other, this = (f'name = "{tables["name"]}"' for tables in (there, own))
-    elif others.isdisjoint(_plants(own)) and any(others):
-        other, this = (f"plant {', '.join(sorted(names))}" for names in (others, _plants(own)))
+    if names.isdisjoint({study_tables["name"], *study_tables["based_on"]}):
+        other, this = (f'name = "{tables["name"]}"' for tables in (there, study_tables))
+    elif others.isdisjoint(_plants(study_tables)) and any(others):
+        other, this = (f"plant {', '.join(sorted(names))}" for names in (others, _plants(study_tables)))
     else:
         return
     raise ConfigError(

@@ -55,17 +55,17 @@ from ddpc_cosim.study.case_files import (
     STAGING,
     CaseResult,
     accept_case,
-    judge_again,
     keep_left,
     left_in,
     load_case,
     longest_files,
+    recompute_metrics,
     stage_case,
     write_case,
 )
 from ddpc_cosim.study.cases import (
     Case,
-    Surroundings,
+    CaseContext,
     cases_of_problems,
     doing_nothing,
     files_read,
@@ -264,8 +264,8 @@ def run_study(
         of_problem.setdefault(result.problem, []).append(result)
     several = len(resolved.problems) > 1
     for name, plant in plants.items():
-        own = facts_of_problem(of_problem.get(name, []), plant, resolved.problems[name].metrics.preview)
-        provenance |= {provenance_of(name, key) if several else key: fact for key, fact in own.items()}
+        of_plant = facts_of_problem(of_problem.get(name, []), plant, resolved.problems[name].metrics.preview)
+        provenance |= {provenance_of(name, key) if several else key: fact for key, fact in of_plant.items()}
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
     run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
@@ -300,16 +300,18 @@ def selected_cases(
         None that is selected can run without a package that is not installed.
     """
     # The only problem, whose name is the study's, is in no case's name.
-    own = {one.study.variant_of or name for name, one in resolved.problems.items()} == {resolved.head.name}
+    names = {problem.study.variant_of or name for name, problem in resolved.problems.items()}
+    is_only = names == {resolved.head.name}
     in_cases = {
-        name: "" if own and not one.study.variant_of else name for name, one in resolved.problems.items()
+        name: "" if is_only and not problem.study.variant_of else name
+        for name, problem in resolved.problems.items()
     }
-    studies = {in_cases[name]: one for name, one in resolved.problems.items()}
+    studies = {in_cases[name]: problem for name, problem in resolved.problems.items()}
     selected = problems_with_cases(studies, selection.seeds, selection.only)
-    chosen = {name: one for name, one in resolved.problems.items() if in_cases[name] in selected}
+    chosen = {name: problem for name, problem in resolved.problems.items() if in_cases[name] in selected}
     with demanded(selection.sandboxed):
         plants = built_plants(chosen, progress)
-    problems = {in_cases[name]: (one, plants[name]) for name, one in chosen.items()}
+    problems = {in_cases[name]: (problem, plants[name]) for name, problem in chosen.items()}
     cases = cases_of_problems(problems, selection.seeds, selection.only)
     lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in cases]
     if all(lacking):
@@ -352,7 +354,7 @@ def run_missing(
     if begin:
         progress.start(len(missing), len(kept))
     for case in kept:
-        judge_again(cases_folder / case.id, case.metrics)
+        recompute_metrics(cases_folder / case.id, case.metrics)
         if not begin:
             progress.finished(case, load_case(cases_folder / case.id))
     to_run = [replace(case, storage=selection.storage) for case in missing.values()]
@@ -374,16 +376,16 @@ def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
 
 def built_plants(problems: Mapping[str, "ResolvedStudy"], progress: Progress) -> dict[str, PlantSpec]:
     """Return each problem's plant, by name, ready to run; one that several problems have is built once."""
-    _compile_ahead((Path(path) for one in problems.values() for path in one.plant.files), progress)
+    _compile_ahead((Path(path) for problem in problems.values() for path in problem.plant.files), progress)
     built = list[tuple[PlantSpec, PlantSpec]]()
     plants = {}
-    for name, one in problems.items():
-        ready = next((ready for spec, ready in built if spec == one.plant), None)
+    for name, problem in problems.items():
+        ready = next((ready for spec, ready in built if spec == problem.plant), None)
         if ready is None:
-            ready = one.plant.built()
-            built.append((one.plant, ready))
+            ready = problem.plant.built()
+            built.append((problem.plant, ready))
         if ready.coupled:
-            ready.coupled.check(one.study.loop.sampling_time)
+            ready.coupled.check(problem.study.loop.sampling_time)
         plants[name] = ready
     return plants
 
@@ -403,13 +405,13 @@ def _compiled(path: Path, tell: Callable[[str], object]) -> list[Path]:
     return compile_ahead(path, tell)
 
 
-def _sandboxed_read(around: Surroundings, known: dict[Path, list[Path]]) -> tuple[Path, ...]:
+def _sandboxed_read(context: CaseContext, known: dict[Path, list[Path]]) -> tuple[Path, ...]:
     """Return what a case reads in a sandbox: files, and the compiled libraries of those that are FMUs."""
     with demanded(wanted=True):
-        for path in around.read:
+        for path in context.read:
             if path not in known:
                 known[path] = _compiled(path, lambda _: None)
-    return (*around.read, *(folder for path in around.read for folder in known[path]))
+    return (*context.read, *(folder for path in context.read for folder in known[path]))
 
 
 def _is_there(folder: Path) -> bool:
@@ -427,7 +429,7 @@ def run_cases(
     watch: Watcher | None = None,
     *,
     sandboxed: bool = False,
-    surroundings: Surroundings | None = None,
+    context: CaseContext | None = None,
     keep_files: bool = False,
 ) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
@@ -444,7 +446,7 @@ def run_cases(
         Called with the progress of running cases.
     sandboxed : bool
         Whether each case runs in a sandbox, in which it writes nothing but its own files.
-    surroundings : Surroundings, optional
+    context : CaseContext, optional
         What cases find around them; default: what is around this process.
     keep_files : bool
         Whether to keep what each case leaves in its working directory, which is a temporary one of its own.
@@ -462,14 +464,14 @@ def run_cases(
     with _scratch() as temporary, _scratch(folder, STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
-        waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
+        waiting, running, crashes = deque(cases), list[_Run](), Counter[str]()
         workers = _Workers(preload, temporary)
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
                     # What ends the process that starts its own takes others along: one at a time it cannot.
-                    alone = lost[waiting[0].id] > 1
+                    alone = crashes[waiting[0].id] > 1
                     if alone and any(run.alone for run in running):
                         break
                     case = waiting.popleft()
@@ -478,9 +480,9 @@ def run_cases(
                         write_case(folder / case.id, trace, case.head(), staging, case.metrics)
                         yield case
                         continue
-                    around = surroundings or Surroundings.of(case)
+                    case_context = context or CaseContext.of(case)
                     if case.sandbox:
-                        around = replace(around, read=_sandboxed_read(around, compiled))
+                        case_context = replace(case_context, read=_sandboxed_read(case_context, compiled))
                     with _writable():
                         places = (folder / case.id, staging, temporary)
                         make = workers.maker_for(case, jobs)
@@ -488,7 +490,7 @@ def run_cases(
                             case,
                             make,
                             *places,
-                            around,
+                            case_context,
                             alone=alone,
                             keep_files=keep_files,
                             may_go_on=workers.may_go_on(case),
@@ -503,7 +505,7 @@ def run_cases(
                         running.remove(run)
                         workers.take_back(run)
                     if ended and run.may_be_a_bystander:
-                        lost[run.case.id] += 1
+                        crashes[run.case.id] += 1
                         waiting.appendleft(run.case)
                     elif ended:
                         yield run.case
@@ -524,17 +526,17 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
     CosimError
         What the function raises, or that its process crashed or was not done in time.
     """
-    around = Surroundings.of(case)
+    context = CaseContext.of(case)
     seconds = case.case_timeout or _LONGEST_ANSWER_SECONDS
     with _scratch() as folder:
-        sandbox = Sandbox((folder,), _sandboxed_read(around, {})) if case.sandbox else None
+        sandbox = Sandbox((folder,), _sandboxed_read(context, {})) if case.sandbox else None
         preload = [*_PRELOAD, *_plugin_modules([case])]
         memory = _memory(case, 1)
         worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
         try:
             work = _working_directory(folder)
-            surrounding = around.modules, around.values, work
-            return worker.call(_answer, function, case, *surrounding, seconds=seconds)
+            environment = context.modules, context.values, work
+            return worker.call(_answer, function, case, *environment, seconds=seconds)
         except LostWorkerError as error:
             reason = f"its process crashed: {error}"
             if error.exit_status is None:
@@ -641,7 +643,7 @@ class _Workers:
             self._idle.append(run.worker)
 
     def end(self) -> None:
-        """End those that no one has."""
+        """End the workers that have no case."""
         while self._idle:
             self._idle.pop().end()
 
@@ -663,7 +665,7 @@ class _Run:
         The case's folder, and where it is to stand until it is complete.
     temporary : Path
         Where temporary files lie.
-    surroundings : Surroundings
+    context : CaseContext
         What it finds around it.
     alone : bool
         Whether it is to take no other run along, whatever it does.
@@ -687,7 +689,7 @@ class _Run:
         folder: Path,
         staging: Path,
         temporary: Path,
-        surroundings: Surroundings,
+        context: CaseContext,
         *,
         alone: bool,
         keep_files: bool,
@@ -702,15 +704,15 @@ class _Run:
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
-            sandbox = Sandbox((self._place, self._staged, *traced), surroundings.read)
+            sandbox = Sandbox((self._place, self._staged, *traced), context.read)
         self.worker = make(folder=self._place, sandbox=sandbox, alone=alone)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            around = (surroundings.modules, surroundings.values, self._work)
+            environment = (context.modules, context.values, self._work)
             run = run_and_leave if may_go_on else run_and_stage
-            ask(self.worker.channel, run, case, rows, self._staged, *around, began)
+            ask(self.worker.channel, run, case, rows, self._staged, *environment, began)
 
     @property
     def progress(self) -> Update:

@@ -41,8 +41,8 @@ def with_variants(parts: Sequence[FlatStudy], sweep: Any, errors: ValidationErro
         number = 0
         for i, table in enumerate(tables):
             paths = {key: path for key, path in _paths_of(table).items() if _concerns(path, part.problem)}
-            own = {key: table[key] for key in (*paths, ZIP) if key in table}
-            for varied in combinations(own) if paths else ():
+            swept = {key: table[key] for key in (*paths, ZIP) if key in table}
+            for varied in combinations(swept) if paths else ():
                 number += 1
                 name = variant_name(part.problem, varied, number)
                 if name in taken:
@@ -118,10 +118,10 @@ def _variant(
         changed = {place[1] for place in places}
         left_out = tables[CONTROLLERS].keys() - changed
         tables = with_report(tables, left_out)
-        tables[CONTROLLERS] = {key: one for key, one in tables[CONTROLLERS].items() if key in changed}
-    own = {"variant_of": part.problem, "varied": varied, "name": name}
-    own["title"] = variant_label(str(part.tables.get("title") or part.problem), varied)
-    return FlatStudy(part.problem, tables | own, partial(_origin, part, places))
+        tables[CONTROLLERS] = {key: section for key, section in tables[CONTROLLERS].items() if key in changed}
+    changes = {"variant_of": part.problem, "varied": varied, "name": name}
+    changes["title"] = variant_label(str(part.tables.get("title") or part.problem), varied)
+    return FlatStudy(part.problem, tables | changes, partial(_origin, part, places))
 
 
 def _set(tables: Any, path: Place, value: Any) -> Place:

@@ -17,11 +17,11 @@ from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
-from ddpc_cosim.study.case_files import CaseResult, judge_again
+from ddpc_cosim.study.case_files import CaseResult, recompute_metrics
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import ControllerSection, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.resolve import Known, ResolvedStudy, resolve
+from ddpc_cosim.study.resolve import ResolvedStudy, StudyCache, resolve
 from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
@@ -183,7 +183,7 @@ def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, s
         resolved = _resolved(attempt)
         if resolved is not None:
             for case in attempt.cases:
-                judge_again(case.folder, resolved.metrics)
+                recompute_metrics(case.folder, resolved.metrics)
             ids = [case.id for case in attempt.cases]
             attempt.cases = load_cases(folder, WholeStudy.of(resolved.study), ids).cases
     if resolved is not None and attempt.cases:
@@ -212,11 +212,11 @@ def _resolved(attempt: _Attempt) -> ResolvedStudy | None:
 
 def _resolve(study: Study) -> ResolvedStudy:
     """Return what a study comes to that is in no file; ConfigError with all that does not fit."""
-    errors, known = ValidationErrors(), Known()
+    errors, cache = ValidationErrors(), StudyCache()
     try:
-        resolved = resolve(study, Path(), errors, known)
+        resolved = resolve(study, Path(), errors, cache)
     finally:
-        known.forget()
+        cache.forget()
     if resolved is None:
         raise ConfigError(errors.listed())
     return resolved

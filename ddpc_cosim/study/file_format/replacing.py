@@ -30,7 +30,7 @@ def replaced(base: Table, changes: Table, *, leave_out: bool = False) -> Table:
     def is_left_out(value: Any, old: Any) -> bool:
         return leave_out and value is False and isinstance(old, dict)
 
-    found = dict(base)
+    tables = dict(base)
     for key, value in changes.items():
         old = base.get(key)
         if isinstance(value, dict) and isinstance(old, dict):
@@ -38,11 +38,11 @@ def replaced(base: Table, changes: Table, *, leave_out: bool = False) -> Table:
             given, had = alternatives & value.keys(), alternatives & old.keys()
             if not (given and had and given != had):
                 both = (old | value).items()
-                value = {name: one for name, one in both if not is_left_out(one, old.get(name))}
-        found[key] = value
+                value = {name: entry for name, entry in both if not is_left_out(entry, old.get(name))}
+        tables[key] = value
         if is_left_out(value, old):
-            del found[key]
-    return found
+            del tables[key]
+    return tables
 
 
 def changed_controller(base: Table, changes: Table, kind: Any) -> Table:
@@ -50,14 +50,14 @@ def changed_controller(base: Table, changes: Table, kind: Any) -> Table:
     return replaced(_without(base, _OF_TYPE if changes.get("type", kind) != kind else ()), changes)
 
 
-def extended(base: Table, own: Table, label: str) -> tuple[Table, list[tuple[Place, str]]]:
+def extended(base: Table, changes: Table, label: str) -> tuple[Table, list[tuple[Place, str]]]:
     """Return a study with what a file that extends it says; and what does not fit it, and why.
 
     Parameters
     ----------
     base : dict
         The tables of the study.
-    own : dict
+    changes : dict
         Those of the file.
     label : str
         The name of the study in messages.
@@ -65,39 +65,38 @@ def extended(base: Table, own: Table, label: str) -> tuple[Table, list[tuple[Pla
     gone = {
         (key, name)
         for key in (PROBLEMS, CONTROLLERS)
-        for name, one in _items(own.get(key))
-        if one is False and name in dict(_items(base.get(key)))
+        for name, entry in _items(changes.get(key))
+        if entry is False and name in dict(_items(base.get(key)))
     }
     base = _remaining(base, gone)
-    found = replaced(base, _without(own, (EXTENDS, PROBLEMS, CONTROLLERS)), leave_out=True)
-    found |= {SWEEP: own[SWEEP]} if SWEEP in own else {}
+    tables = replaced(base, _without(changes, (EXTENDS, PROBLEMS, CONTROLLERS)), leave_out=True)
+    tables |= {SWEEP: changes[SWEEP]} if SWEEP in changes else {}
     faults = list[tuple[Place, str]]()
     for key in (PROBLEMS, CONTROLLERS):
-        if isinstance(base.get(key), dict) and isinstance(own.get(key), dict):
-            found[key], wrong = _entries(
-                key, base[key], {name: one for name, one in own[key].items() if (key, name) not in gone}
-            )
+        if isinstance(base.get(key), dict) and isinstance(changes.get(key), dict):
+            remaining = {name: entry for name, entry in changes[key].items() if (key, name) not in gone}
+            tables[key], wrong = _entries(key, base[key], remaining)
             faults += [
                 ((key, name), f'no {key.removesuffix("s")} "{name}" in {label}; {why}') for name, why in wrong
             ]
-        elif key == PROBLEMS and key in own and isinstance(own[key], dict):
+        elif key == PROBLEMS and key in changes and isinstance(changes[key], dict):
             what = f"{label} is a study of one problem; to have it among several: {PROBLEMS}.NAME.{STUDY}"
             faults.append(((PROBLEMS,), what))
-        elif key in own:
-            found[key] = own[key]
-    if isinstance(found.get("report"), dict) and "panels" not in dict(_items(own.get("report"))):
-        new = _without(dict(_items(found.get(CONTROLLERS))), dict(_items(base.get(CONTROLLERS))))
-        found["report"] = _with_panel_of(new, found["report"])
-    return found, faults
+        elif key in changes:
+            tables[key] = changes[key]
+    if isinstance(tables.get("report"), dict) and "panels" not in dict(_items(changes.get("report"))):
+        new = _without(dict(_items(tables.get(CONTROLLERS))), dict(_items(base.get(CONTROLLERS))))
+        tables["report"] = _with_panel_of(new, tables["report"])
+    return tables, faults
 
 
-def not_said(tables: Table, own: Table) -> Iterator[Place]:
+def not_said(tables: Table, said: Table) -> Iterator[Place]:
     """Yield the places of tables, of each the outermost, that a file does not say itself."""
     for key, value in tables.items():
-        if key not in own:
+        if key not in said:
             yield (key,)
-        elif isinstance(value, dict) and isinstance(own[key], dict):
-            yield from ((key, *below) for below in not_said(value, own[key]))
+        elif isinstance(value, dict) and isinstance(said[key], dict):
+            yield from ((key, *below) for below in not_said(value, said[key]))
 
 
 def without_panels_of(controllers: Collection[str], report: Table) -> Table:
@@ -108,7 +107,9 @@ def without_panels_of(controllers: Collection[str], report: Table) -> Table:
     kept = []
     for panel in panels:
         if isinstance(panel, dict) and isinstance(panel.get(CONTROLLERS), list):
-            shown = [one for one in panel[CONTROLLERS] if not (isinstance(one, str) and one in controllers)]
+            shown = [
+                name for name in panel[CONTROLLERS] if not (isinstance(name, str) and name in controllers)
+            ]
             panel = panel | {CONTROLLERS: shown}
             if not shown:
                 continue
@@ -122,7 +123,7 @@ def with_report(tables: Any, controllers: Collection[str]) -> Any:
         return tables
     report = without_panels_of(controllers, _without(tables["report"], ("reproduction",)))
     points = dict(_items(report.get("reference_points"))).values()
-    is_cut = any(one in points for one in controllers)
+    is_cut = any(name in points for name in controllers)
     return tables | {"report": _without(report, ("reference_points",) if is_cut else ())}
 
 
@@ -139,81 +140,84 @@ def _remaining(base: Table, gone: Set[tuple[str, str]]) -> Table:
     problems, controllers = (
         {name for first, name in gone if first == key} for key in (PROBLEMS, CONTROLLERS)
     )
-    found = _without(base, _OF_RESULTS)
+    tables = _without(base, _OF_RESULTS)
     for key, names in ((PROBLEMS, problems), (CONTROLLERS, controllers)):
-        found |= {key: _without(base[key], names)} if names else {}
-    for name, section in _items(found.get(CONTROLLERS)) if problems else ():
+        tables |= {key: _without(base[key], names)} if names else {}
+    for name, section in _items(tables.get(CONTROLLERS)) if problems else ():
         if isinstance(section, dict) and isinstance(section.get(PROBLEMS), dict):
-            found[CONTROLLERS] |= {name: section | {PROBLEMS: _without(section[PROBLEMS], problems)}}
-    if isinstance(found.get(PROBLEMS), dict):
-        found[PROBLEMS] = {name: with_report(one, controllers) for name, one in found[PROBLEMS].items()}
-    if gone and isinstance(found.get(SWEEP), list | dict):
-        found[SWEEP] = _remaining_sweep(found[SWEEP], gone)
-    return dict(with_report(found, controllers))
+            tables[CONTROLLERS] |= {name: section | {PROBLEMS: _without(section[PROBLEMS], problems)}}
+    if isinstance(tables.get(PROBLEMS), dict):
+        tables[PROBLEMS] = {
+            name: with_report(problem, controllers) for name, problem in tables[PROBLEMS].items()
+        }
+    if gone and isinstance(tables.get(SWEEP), list | dict):
+        tables[SWEEP] = _remaining_sweep(tables[SWEEP], gone)
+    return dict(with_report(tables, controllers))
 
 
 def _remaining_sweep(sweep: Any, gone: Set[tuple[str, str]]) -> list[Any]:
     """Return the tables of a sweep without paths into what is left out."""
     kept = [
-        {key: values for key, values in one.items() if (path_of(key) or ())[:2] not in gone}
-        if isinstance(one, dict)
-        else one
-        for one in ([sweep] if isinstance(sweep, dict) else sweep)
+        {key: values for key, values in table.items() if (path_of(key) or ())[:2] not in gone}
+        if isinstance(table, dict)
+        else table
+        for table in ([sweep] if isinstance(sweep, dict) else sweep)
     ]
-    return [one for one in kept if not isinstance(one, dict) or one.keys() - {ZIP}]
+    return [table for table in kept if not isinstance(table, dict) or table.keys() - {ZIP}]
 
 
-def _entries(key: str, base: Table, own: Table) -> tuple[Table, list[tuple[str, str]]]:
+def _entries(key: str, base: Table, changes: Table) -> tuple[Table, list[tuple[str, str]]]:
     """Return problems or controllers, changed and joined by others; and the names that are wrong."""
     needed, change = _NEW[key]
-    found, wrong = dict(base), []
-    for name, one in own.items():
-        if isinstance(one, dict) and isinstance(base.get(name), dict):
-            found[name] = change(base[name], one)
-        elif name in base or needed & dict(_items(one)).keys() or not (one is False or isinstance(one, dict)):
-            found[name] = one
+    entries, wrong = dict(base), []
+    for name, entry in changes.items():
+        is_table = isinstance(entry, dict)
+        if is_table and isinstance(base.get(name), dict):
+            entries[name] = change(base[name], entry)
+        elif name in base or needed & dict(_items(entry)).keys() or not (is_table or entry is False):
+            entries[name] = entry
         else:
             wrong.append((name, f"{did_you_mean(name, base)}; a new one needs {' or '.join(sorted(needed))}"))
-    return found, wrong
+    return entries, wrong
 
 
-def _changed_problem(base: Table, own: Table) -> Table:
+def _changed_problem(base: Table, changes: Table) -> Table:
     """Return a problem with what a file says of it; one that it takes from elsewhere begins anew."""
-    return own if STUDY in own else replaced(base, own, leave_out=True)
+    return changes if STUDY in changes else replaced(base, changes, leave_out=True)
 
 
-def _changed_in_all(base: Table, own: Table) -> Table:
+def _changed_in_all(base: Table, changes: Table) -> Table:
     """Return a controller with what a file says of it, for all problems and then for some."""
-    kind, of_all, of_some = base.get("type"), _without(own, (PROBLEMS,)), own.get(PROBLEMS, {})
-    found = _tuned_no_more(changed_controller(_without(base, (PROBLEMS,)), of_all, kind), of_all, kind)
+    kind, of_all, of_some = base.get("type"), _without(changes, (PROBLEMS,)), changes.get(PROBLEMS, {})
+    controller = _tuned_no_more(changed_controller(_without(base, (PROBLEMS,)), of_all, kind), of_all, kind)
     if not isinstance(of_some, dict):
-        return found | {PROBLEMS: of_some}
-    problems = {name: _not_replaced(one, of_all, kind) for name, one in _items(base.get(PROBLEMS))}
-    for name, one in of_some.items():
+        return controller | {PROBLEMS: of_some}
+    problems = {name: _not_replaced(section, of_all, kind) for name, section in _items(base.get(PROBLEMS))}
+    for name, change in of_some.items():
         old = dict(_items(problems.get(name)))
-        known = old.get("type", found.get("type"))
-        problems[name] = (
-            _tuned_no_more(changed_controller(old, one, known), one, known) if isinstance(one, dict) else one
-        )
-    return found | ({PROBLEMS: problems} if problems else {})
+        known = old.get("type", controller.get("type"))
+        problems[name] = change
+        if isinstance(change, dict):
+            problems[name] = _tuned_no_more(changed_controller(old, change, known), change, known)
+    return controller | ({PROBLEMS: problems} if problems else {})
 
 
-def _not_replaced(base: Any, own: Table, kind: Any) -> Any:
+def _not_replaced(base: Any, changes: Table, kind: Any) -> Any:
     """Return what is left of what differs in a problem where a file says something of all problems."""
     if not isinstance(base, dict):
         return base
     known = base.get("type", kind)
-    if "type" in own:
-        base = _without(base, _OF_TYPE if own["type"] != known else ())
+    if "type" in changes:
+        base = _without(base, _OF_TYPE if changes["type"] != known else ())
     elif known != kind:  # there the settings are another type's
-        own = _without(own, _OF_TYPE)
-    found: Table = {}
+        changes = _without(changes, _OF_TYPE)
+    remaining: Table = {}
     for key, value in base.items():
-        if key not in own:
-            found[key] = value
-        elif isinstance(value, dict) and isinstance(own[key], dict):
-            found[key] = _without(value, own[key])
-    return _without(found, ("tuned",) if _changes_settings(own, known) else ())
+        if key not in changes:
+            remaining[key] = value
+        elif isinstance(value, dict) and isinstance(changes[key], dict):
+            remaining[key] = _without(value, changes[key])
+    return _without(remaining, ("tuned",) if _changes_settings(changes, known) else ())
 
 
 def _tuned_no_more(section: Table, changes: Table, kind: Any) -> Table:
@@ -230,7 +234,7 @@ def _with_panel_of(new: Table, report: Table) -> Table:
     panels = report.get("panels")
     if not new or not isinstance(panels, list) or not panels:
         return report
-    title = ", ".join(str(dict(_items(one)).get("label") or name) for name, one in new.items())
+    title = ", ".join(str(dict(_items(section)).get("label") or name) for name, section in new.items())
     return report | {"panels": [*panels, {"title": title, CONTROLLERS: list(new)}]}
 
 

@@ -87,20 +87,22 @@ class _Schemas:
             }
             for name, kind in _installed_controllers().items()
         ]
-        one = {**_table(changes), "allOf": by_type}
+        controller = {**_table(changes), "allOf": by_type}
         return {
             "type": "object",
             "description": "what is compared",
-            "additionalProperties": {"if": {"const": False}, "else": one},
+            "additionalProperties": {"if": {"const": False}, "else": controller},
         }
 
     def of_class(self, kind: type[Any], *, partial: bool = False) -> Schema:
         """Return the schema of a table of a class; ``partial``: of what differs from another study's."""
         fields = declared_fields(kind)
         properties: Schema = {KIND: {"const": kind.kind}} if hasattr(kind, KIND) else {}
-        for key, one in fields.items():
-            properties[key] = {"description": one.info.meaning} | self.of(one.hint, one.info, partial=partial)
-        return _table(properties, [] if partial else [key for key, one in fields.items() if one.is_required])
+        for key, field in fields.items():
+            schema = self.of(field.hint, field.info, partial=partial)
+            properties[key] = {"description": field.info.meaning} | schema
+        required = [key for key, field in fields.items() if field.is_required and not partial]
+        return _table(properties, required)
 
     def of(self, hint: Any, info: SettingInfo, *, partial: bool = False) -> Schema:
         """Return the schema of a value of a type."""
@@ -108,7 +110,9 @@ class _Schemas:
         if origin is Annotated:
             return self._annotated(arguments[0], arguments[1:], info, partial=partial)
         if origin in (Union, UnionType):
-            some = [self.of(one, info, partial=partial) for one in arguments if one is not NoneType]
+            some = [
+                self.of(argument, info, partial=partial) for argument in arguments if argument is not NoneType
+            ]
             return some[0] if len(some) == 1 else {"anyOf": some}
         if origin is Literal:
             return {"enum": list(arguments)}
@@ -135,21 +139,23 @@ class _Schemas:
         return {"$ref": f"#/$defs/{name}"}
 
     def _annotated(self, hint: Any, metadata: Sequence[Any], info: SettingInfo, *, partial: bool) -> Schema:
-        kinds = next((one for one in metadata if isinstance(one, Kinds)), None)
+        kinds = next((annotation for annotation in metadata if isinstance(annotation, Kinds)), None)
         schema = self._of_kinds(kinds) if kinds else self.of(hint, info, partial=partial)
-        for one in metadata:
-            if isinstance(one, Rule):
-                schema = {**schema, **one.schema}
-            elif isinstance(one, Size):
+        for annotation in metadata:
+            if isinstance(annotation, Rule):
+                schema = {**schema, **annotation.schema}
+            elif isinstance(annotation, Size):
                 what = {"array": "Items", "object": "Properties", "string": "Length"}.get(
                     schema.get("type", "")
                 )
                 if what:
-                    schema = schema | ({f"min{what}": one.least} if one.least and not partial else {})
-                    schema = schema | ({f"max{what}": one.most} if one.most is not None else {})
-        for one in metadata:
-            if isinstance(one, Prepared) and one.schema:
-                schema = _or_else(schema, dict(one.schema))
+                    schema = schema | (
+                        {f"min{what}": annotation.least} if annotation.least and not partial else {}
+                    )
+                    schema = schema | ({f"max{what}": annotation.most} if annotation.most is not None else {})
+        for annotation in metadata:
+            if isinstance(annotation, Prepared) and annotation.schema:
+                schema = _or_else(schema, dict(annotation.schema))
         return schema
 
     def _of_kinds(self, kinds: Kinds) -> Schema:

@@ -249,7 +249,7 @@ class PlantSection(Section):
         return (
             shown_name(self.name)
             or Path(self.fmu or self.ssp).name
-            or " + ".join(one.name for one in self.parts)
+            or " + ".join(part.name for part in self.parts)
         )
 
 
@@ -338,13 +338,13 @@ def _with_names_in_settings(section: dict[str, Any], change: ChangeName, kind: A
             return map_plants(chosen, settings, partial(change, SettingInfo("", plant=True)))
         return settings
 
-    found = section | {key: of_settings(section[key]) for key in _OF_SETTINGS & section.keys()}
-    if isinstance(problems := found.get(PROBLEMS), dict):
-        found[PROBLEMS] = {
+    tables = section | {key: of_settings(section[key]) for key in _OF_SETTINGS & section.keys()}
+    if isinstance(problems := tables.get(PROBLEMS), dict):
+        tables[PROBLEMS] = {
             name: _with_names_in_settings(changes, change, kind) if isinstance(changes, dict) else changes
             for name, changes in problems.items()
         }
-    return found
+    return tables
 
 
 _OF_SETTINGS = {"settings", "sweep", "first_trials"}

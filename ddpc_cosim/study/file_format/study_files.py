@@ -75,7 +75,7 @@ class StudyFile:
         """
         file = cls._read(path, path.name, {}, {})
         if EXTENDS in file.tables:  # without it, no more can be said
-            raise ConfigError(file.told_faults())
+            raise ConfigError(file.fault_messages())
         return file
 
     def origin(self, place: Place) -> tuple["StudyFile", Place]:
@@ -89,16 +89,16 @@ class StudyFile:
     def line(self, place: Place) -> int:
         """Return the line of a place of this file, of its table where it is missing; 0: it is not known."""
         beginnings = (place[:n] for n in range(len(place), 0, -1))
-        return next((self._lines[one] for one in beginnings if one in self._lines), 0)
+        return next((self._lines[beginning] for beginning in beginnings if beginning in self._lines), 0)
 
-    def told(self, place: Place, fault: str) -> str:
+    def message(self, place: Place, fault: str) -> str:
         """Return what is wrong with a place of this file, as a message says it."""
         line = self.line(place)
         return f"{self.label}{f':{line}' if line else ''}: {dotted(place)}: {fault}"
 
-    def told_faults(self) -> list[str]:
+    def fault_messages(self) -> list[str]:
         """Return the faults as messages say them."""
-        return [file.told(place, fault) for file, place, fault in dict.fromkeys(self.faults)]
+        return [file.message(place, fault) for file, place, fault in dict.fromkeys(self.faults)]
 
     @cached_property
     def _lines(self) -> dict[Place, int]:
@@ -125,7 +125,7 @@ class StudyFile:
             tables = toml_tables(text)
         except DeepTablesError as error:
             raise ConfigError(f"{label}: {error}") from error
-        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are not TOML errors
             raise ConfigError(f"{label}: not a TOML file: {error}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
@@ -134,12 +134,12 @@ class StudyFile:
 
     def _take(self, above: dict[Path, str], known: dict[Path, Self]) -> None:
         """Take the study that it extends, and those that its problems name; the key of what fails stays."""
-        own = self.tables
-        base = self._other((EXTENDS,), own[EXTENDS], above, known) if EXTENDS in own else None
+        file_tables = self.tables
+        base = self._other((EXTENDS,), file_tables[EXTENDS], above, known) if EXTENDS in file_tables else None
         if base is not None and EXTENDS not in base.tables:
-            self.tables, faults = extended(self._tables_of(base), own, base.label)
+            self.tables, faults = extended(self._tables_of(base), file_tables, base.label)
             self.faults += [(self, place, fault) for place, fault in faults]
-            self.taken |= {place: (base, place) for place in not_said(self.tables, own)}
+            self.taken |= {place: (base, place) for place in not_said(self.tables, file_tables)}
             before = base.tables.get("based_on")
             names = [str(base.tables["name"]), *(before if isinstance(before, list) else ())]
             self.tables = self.tables | {"based_on": names}
@@ -155,8 +155,8 @@ class StudyFile:
                 what = f"{other.label} has problems itself; needed: a study with [plant], [loop], ..."
                 self.faults.append((self, (*place, STUDY), what))
                 continue
-            theirs = {key: one for key, one in self._tables_of(other).items() if key in OF_PROBLEM}
-            said = {key: one for key, one in problem.items() if key != STUDY}
+            theirs = {key: value for key, value in self._tables_of(other).items() if key in OF_PROBLEM}
+            said = {key: value for key, value in problem.items() if key != STUDY}
             whole = replaced(theirs, said, leave_out=True)
             self.tables = self.tables | {PROBLEMS: self.tables[PROBLEMS] | {name: whole}}
             self.taken |= {(*place, *below): (other, below) for below in not_said(whole, said)}
@@ -172,12 +172,12 @@ class StudyFile:
             beside = in_folder(self.folder, named)
             is_there = is_file(beside)
             label = str(Path(self.label).parent / named) if is_there else named
-            found = self._read(beside if is_there else _plugin_study(named), label, above, known)
+            study = self._read(beside if is_there else _plugin_study(named), label, above, known)
         except CosimError as error:
             self.faults.append((self, place, str(error)))
             return None
-        self.faults += found.faults
-        return found
+        self.faults += study.faults
+        return study
 
     def _tables_of(self, other: "StudyFile") -> Table:
         same = other.folder.resolve() == self.folder.resolve()
@@ -231,20 +231,20 @@ def absolute_paths(tables: Table, folder: Path) -> Table:
             table = table[name]
         return table
 
-    found: Table = with_names(Study, tables, absolute)
-    if isinstance(problems := found.get(PROBLEMS), dict):
-        found[PROBLEMS] = {
+    resolved: Table = with_names(Study, tables, absolute)
+    if isinstance(problems := resolved.get(PROBLEMS), dict):
+        resolved[PROBLEMS] = {
             name: absolute_paths(problem, folder) if isinstance(problem, dict) else problem
             for name, problem in problems.items()
         }
-    if isinstance(sweep := found.get(SWEEP), list | dict):
-        found[SWEEP] = [
+    if isinstance(sweep := resolved.get(SWEEP), list | dict):
+        resolved[SWEEP] = [
             {key: of_sweep(key, values) for key, values in table.items()}
             if isinstance(table, dict)
             else table
             for table in ([sweep] if isinstance(sweep, dict) else sweep)
         ]
-    return found
+    return resolved
 
 
 def key_lines(text: str) -> dict[Place, int]:

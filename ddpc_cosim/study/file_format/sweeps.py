@@ -31,7 +31,9 @@ def swept_values(value: Any) -> Any:
     if not (isinstance(value, dict) and len(value) == 1 and value.keys() <= _RANGES.keys()):
         raise ValueError(f"{_EXPECTED}, got {value!r}"[:300])
     ((kind, given),) = value.items()
-    numbers = isinstance(given, list) and len(given) == 3 and all(type(one) in (int, float) for one in given)
+    numbers = (
+        isinstance(given, list) and len(given) == 3 and all(type(number) in (int, float) for number in given)
+    )
     if not numbers or not all(map(math.isfinite, given)) or type(given[2]) is not int or given[2] < 1:
         raise ValueError(f"{_EXPECTED}, got {value!r}"[:300])
     first, last, count = given
@@ -40,9 +42,9 @@ def swept_values(value: Any) -> Any:
     if kind == "log" and not first * last > 0:
         raise ValueError(f"first and last of log must have the same sign, got {first:g} and {last:g}")
     # So many digits that one reads what was meant: 0.3 and not 0.30000000000000004.
-    values = [float(f"{one:.12g}") for one in _RANGES[kind](first, last, count)]
+    values = [float(f"{number:.12g}") for number in _RANGES[kind](first, last, count)]
     integers = type(first) is type(last) is int and all(map(float.is_integer, values))
-    return [int(one) for one in values] if integers else values
+    return [int(number) for number in values] if integers else values
 
 
 def path_of(key: str) -> Place | None:
@@ -79,7 +81,9 @@ def sweep_errors(table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def count(tables: Sequence[Mapping[str, Any]]) -> int:
     """Return how many combinations tables have."""
     lengths = [(table, [len(v) for v in table.values() if isinstance(v, list)]) for table in tables]
-    return sum(min(own, default=0) if table.get(ZIP) is True else math.prod(own) for table, own in lengths)
+    return sum(
+        min(counts, default=0) if table.get(ZIP) is True else math.prod(counts) for table, counts in lengths
+    )
 
 
 def combinations(table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

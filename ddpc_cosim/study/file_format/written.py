@@ -101,7 +101,7 @@ def _entries(excitation: Any, inputs: Sequence[str]) -> Iterator[tuple[str, tupl
         for name, signal in zip(inputs, excitation.signals, strict=True):
             yield name, (excitation.samples, signal)
     else:
-        known = ", ".join(one.__name__ for one in EXCITATIONS.values() if not issubclass(one, Reference))
+        known = ", ".join(kind.__name__ for kind in EXCITATIONS.values() if not issubclass(kind, Reference))
         raise ConfigError(
             f"excitation: a study cannot write {excitation!r}; it can: {known}, SignalExcitation of Steps, "
             "and MixedExcitation of these"
@@ -126,17 +126,19 @@ def controller_table(controller: Controller) -> Table:
     ]
     if faults:
         raise ConfigError(faults)
-    for own in _classes_in(controller):
-        name_of("controllers", own)  # which keeps what a worker cannot import
+    for used_class in _classes_in(controller):
+        name_of("controllers", used_class)  # which keeps what a worker cannot import
     return {"type": name_of("controllers", kind), "settings": changed}
 
 
 def _default(kind: type[Any], setting: str) -> Any:
     """Return a setting's default in plain values; a value that equals nothing where it has none."""
-    one = next((one for one in fields(kind) if one.name == setting), None) if is_dataclass(kind) else None
-    if one is not None and one.default_factory is not MISSING:
-        return to_plain(one.default_factory())
-    return object() if one is None or one.default is MISSING else to_plain(one.default)
+    declared = (
+        next((field for field in fields(kind) if field.name == setting), None) if is_dataclass(kind) else None
+    )
+    if declared is not None and declared.default_factory is not MISSING:
+        return to_plain(declared.default_factory())
+    return object() if declared is None or declared.default is MISSING else to_plain(declared.default)
 
 
 def _classes_in(value: Any) -> Iterator[type]:

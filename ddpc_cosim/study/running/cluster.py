@@ -38,7 +38,7 @@ from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.study.case_files import RUN_FILE, STAGING, accept_case, read_sealed, sealed_json, write_case
-from ddpc_cosim.study.cases import Case, Surroundings, data_files, no_samples, plants_in, plugins_in
+from ddpc_cosim.study.cases import Case, CaseContext, data_files, no_samples, plants_in, plugins_in
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir, cached
 
@@ -81,7 +81,7 @@ class _Task:
     case : Case
         The case, without its recording.
     values : bytes
-        As of :class:`Surroundings`.
+        As of :class:`CaseContext`.
     modules : dict of str to bytes
         The study's own modules, by path in its folder.
     files : dict of str to str
@@ -158,7 +158,7 @@ def _connected(scheduler: str) -> "Iterator[Client]":
         remedy = "give the address that `dask scheduler` prints, such as tcp://host:8786"
         message = f"--scheduler {scheduler}: no dask scheduler answers ({type(error).__name__}: {error})"
         raise ConfigError(f"{message}; {remedy}") from error
-    logger = logging.getLogger("distributed.client")  # which prints tracebacks of what is told here
+    logger = logging.getLogger("distributed.client")  # which prints tracebacks of what is reported here
     level = logger.level
     logger.setLevel(logging.CRITICAL)
     try:
@@ -234,13 +234,13 @@ class _Run:
             if new := [worker for worker in threads if worker not in self._compared]:
                 asked = (self._plugins, self._packages)
                 there = self._client.run(_versions, *asked, workers=new, on_error="return")
-                for worker, found in there.items():
-                    if not isinstance(found, OSError):  # it has gone meanwhile
-                        self._compared[worker] = _faults(worker, found, self._versions)
+                for worker, versions in there.items():
+                    if not isinstance(versions, OSError):  # it has gone meanwhile
+                        self._compared[worker] = _faults(worker, versions, self._versions)
             fit = {worker: n for worker, n in threads.items() if self._compared.get(worker) == []}
-            faults = {worker: found for worker in threads if (found := self._compared.get(worker))}
+            faults = {worker: compared for worker in threads if (compared := self._compared.get(worker))}
             if len(faults) == len(threads):
-                raise ConfigError([fault for found in faults.values() for fault in found])
+                raise ConfigError([fault for worker_faults in faults.values() for fault in worker_faults])
             for worker in faults.keys() - self._left_out:
                 self._leave_out(worker, faults[worker])
             if fit:
@@ -310,7 +310,7 @@ class _Run:
                 self._recordings[id(case.recording)] = (case.recording, sent)
             recording = self._recordings[id(case.recording)][1]
         bare = _moved(case, names_in(own_folder(), names), None)  # where its modules will be
-        values = Surroundings.of(case).values
+        values = CaseContext.of(case).values
         carried = (values, self._modules[names], files)
         task = _Task(bare, *carried, self._sandboxed, self._versions, self._plugins, self._packages)
         needed = {file: self._contents[file] for file in files.values()}
@@ -402,15 +402,15 @@ def _installed_in(case: Case) -> Iterator[tuple[str, str]]:
 @cache
 def _versions(plugins: tuple[tuple[str, str], ...], packages: tuple[str, ...]) -> dict[str, str]:
     """Return what a machine has of what results depend on, by name."""
-    found = {"Python": ".".join(platform.python_version_tuple()[:2])}
+    versions = {"Python": ".".join(platform.python_version_tuple()[:2])}
     for name in packages:
         try:
-            found[name] = metadata.version(name)
+            versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = "missing"
+            versions[name] = "missing"
     metrics = tuple(("metrics", name) for name in plugin_names("metrics"))
-    found["names of metrics"] = ", ".join(name for _, name in metrics) or "none"
-    return found | {f"{kind} {name}": origin(kind, name) for kind, name in (*plugins, *metrics)}
+    versions["names of metrics"] = ", ".join(name for _, name in metrics) or "none"
+    return versions | {f"{kind} {name}": origin(kind, name) for kind, name in (*plugins, *metrics)}
 
 
 def _faults(worker: str, there: Any, here: Mapping[str, str]) -> list[str]:
@@ -418,9 +418,9 @@ def _faults(worker: str, there: Any, here: Mapping[str, str]) -> list[str]:
     if not isinstance(there, dict):
         return [f"worker {worker}: ddpc-cosim cannot be asked for its version there: {there}"]
     return [
-        f"worker {worker}: {name}: {found} there, {expected} here; install the same there"
+        f"worker {worker}: {name}: {version} there, {expected} here; install the same there"
         for name, expected in here.items()
-        if (found := there.get(name, "missing")) != expected
+        if (version := there.get(name, "missing")) != expected
     ]
 
 
@@ -438,10 +438,10 @@ def _run_there(
             places = {path: _placed(path, contents[content], content) for path, content in task.files.items()}
         with ScratchFolder() as scratch:
             modules = _modules(task.modules) if task.modules else scratch
-            around = Surroundings(str(modules), task.values, (*map(Path, places.values()), modules))
+            context = CaseContext(str(modules), task.values, (*map(Path, places.values()), modules))
             case = _moved(task.case, places, None if recording is None else pickle.loads(recording))
             threads = worker.state.nthreads
-            for _ in run_cases([case], scratch, threads, sandboxed=task.sandboxed, surroundings=around):
+            for _ in run_cases([case], scratch, threads, sandboxed=task.sandboxed, context=context):
                 pass
             return _reply(worker.address, scratch / case.id, places)
     except (CosimError, OSError, MemoryError) as error:

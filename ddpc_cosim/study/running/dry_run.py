@@ -52,8 +52,8 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
     if missing:
         base = {
             ("" if name == resolved.head.name else name, key): section.variant_of or key
-            for name, one in resolved.problems.items()
-            for key, section in one.study.controllers.items()
+            for name, problem in resolved.problems.items()
+            for key, section in problem.study.controllers.items()
         }
         lines += [_time(missing, base, folder / CASES_FOLDER, there, selection.jobs)]
         lines.append(_size(missing, selection.storage))
@@ -93,8 +93,8 @@ def _time(
                 times.setdefault((problem, ""), []).append(seconds)
     total, unknown = 0.0, Counter[str]()
     for case in missing:
-        own = base.get((case.problem, case.controller), case.controller)
-        known = times.get((case.problem, own)) or times.get((case.problem, ""))
+        base_controller = base.get((case.problem, case.controller), case.controller)
+        known = times.get((case.problem, base_controller)) or times.get((case.problem, ""))
         if known:
             total += fmean(known)
         else:

@@ -92,7 +92,7 @@ def facts_of_run(
 
 def seed_ranges(seeds: Iterable[int]) -> str:
     """Write seeds as ``--seeds`` takes them: ``0:30,5489``."""
-    runs = [[seed for _, seed in run] for _, run in groupby(enumerate(seeds), lambda one: one[1] - one[0])]
+    runs = [[seed for _, seed in run] for _, run in groupby(enumerate(seeds), lambda pair: pair[1] - pair[0])]
     return ",".join(str(run[0]) if len(run) == 1 else f"{run[0]}:{run[-1] + 1}" for run in runs)
 
 
@@ -104,22 +104,22 @@ def commit_of(file: Path) -> str:
     if not any((folder / ".git").exists() for folder in file.resolve().parents):
         return ""
     # Another repository's, as git sets them for its hooks; nothing is written, and nothing else is started.
-    own = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-    own["GIT_OPTIONAL_LOCKS"] = "0"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    environment["GIT_OPTIONAL_LOCKS"] = "0"
 
     def git(*words: str) -> str:
         command = ["git", "-C", str(file.resolve().parent), "-c", "core.fsmonitor=false", *words]
-        done = captured(command, _GIT_SECONDS, env=own)
+        done = captured(command, _GIT_SECONDS, env=environment)
         done.check_returncode()
         return done.stdout.strip()
 
     try:
         git("ls-files", "--error-unmatch", "--", file.name)
-        told = git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+        description = git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
     except (OSError, subprocess.SubprocessError):
         return ""
-    commit = told.removesuffix("-dirty")
-    return f"{commit}, {'clean' if commit == told else 'with changes that are not committed'}"
+    commit = description.removesuffix("-dirty")
+    return f"{commit}, {'clean' if commit == description else 'with changes that are not committed'}"
 
 
 def _facts_of_file(file: "StudyFile") -> dict[str, str]:
@@ -139,11 +139,11 @@ def _facts_of_file(file: "StudyFile") -> dict[str, str]:
 @cache  # in the process that workers are forked from
 def versions() -> dict[str, str]:
     """Return the versions of what decides figures: this program, Python, and the packages that there are."""
-    found = {"ddpc-cosim": package_version(), "python": platform.python_version()}
+    installed = {"ddpc-cosim": package_version(), "python": platform.python_version()}
     for name in _VERSIONS_OF:
         with suppress(metadata.PackageNotFoundError):
-            found[name.lower()] = metadata.version(name)
-    return found
+            installed[name.lower()] = metadata.version(name)
+    return installed
 
 
 def _plugins_of(file: "StudyFile") -> list[str]:

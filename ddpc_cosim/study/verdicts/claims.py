@@ -54,14 +54,14 @@ def check_claims(study: "Study", cases: Iterable[CaseResult]) -> list[CheckedCla
     checked = []
     for claim in study.report.claims:
         about = controllers_of(claim, study)
-        found = {}
+        counts = {}
         for scenario, seeds in runs.items():
             so = [
-                _is_so(claim, {name: own[name] for name in about if name in own}, about)
-                for own in seeds.values()
+                _is_so(claim, {name: by_controller[name] for name in about if name in by_controller}, about)
+                for by_controller in seeds.values()
             ]
-            found[scenario] = (so.count(True), len(so) - so.count(None))
-        checked.append(CheckedClaim(claim.text, found))
+            counts[scenario] = (so.count(True), len(so) - so.count(None))
+        checked.append(CheckedClaim(claim.text, counts))
     return checked
 
 
@@ -71,7 +71,10 @@ def controllers_of(claim: "ClaimSection", study: "Study") -> list[str]:
         return claim.order
     sections = study.controllers
     if claim.alike:
-        return [claim.alike, *(name for name, one in sections.items() if one.variant_of == claim.alike)]
+        return [
+            claim.alike,
+            *(name for name, section in sections.items() if section.variant_of == claim.alike),
+        ]
     aside = set_aside(study)
     return [name for name in sections if name not in aside]
 

@@ -76,7 +76,7 @@ class Findings:
     failing : tuple of Standing
         The controllers with failed runs, those with the fewest first.
     worse_previews : tuple of WorsePreview
-        Whom seeing more of the reference makes worse.
+        The controllers that are worse where they see more of the reference.
     remarks : tuple of Remark
         What is to be known of scenarios besides ranks.
     """
@@ -99,8 +99,8 @@ class Findings:
     def tells_leaders_apart(self) -> bool:
         """Whether the seeds tell two of the leaders apart, by however little."""
         pairs = combinations(self.leaders, 2)
-        found = (self.standings.difference(key, *pair) for pair in pairs for key in self.standings.keys)
-        return any(difference is not None and difference.told_apart for difference in found)
+        differences = (self.standings.difference(key, *pair) for pair in pairs for key in self.standings.keys)
+        return any(difference is not None and difference.told_apart for difference in differences)
 
     @property
     def scenarios_led(self) -> int:
@@ -147,11 +147,11 @@ class ScenarioFindings:
         for case in self.cases:
             if case.controller not in aside:
                 runs.setdefault(case.controller, []).append(case)
-        return {name: own for name, own in runs.items() if not any(case.failed for case in own)}
+        return {name: cases for name, cases in runs.items() if not any(case.failed for case in cases)}
 
     def medians(self, key: str) -> dict[str, float]:
         """Return the medians of those that may be the best, the best first; equal ones as in the study."""
-        values = {name: known_values(own, key) for name, own in self.sound.items()}
+        values = {name: known_values(cases, key) for name, cases in self.sound.items()}
         medians = {name: median(known) for name, known in values.items() if known}
         return dict(sorted(medians.items(), key=lambda item: metric_of(key).rank(item[1])))
 
@@ -161,8 +161,8 @@ class ScenarioFindings:
             return self.standings.compared[key]
         if key not in self._compared:
             runs: dict[str, Runs] = {
-                name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in own}
-                for name, own in self.sound.items()
+                name: {(case.scenario, case.seed): case.metrics.get(key, math.nan) for case in cases}
+                for name, cases in self.sound.items()
             }
             self._compared[key] = compare_all(runs, metric_of(key).better)
         return self._compared[key]
@@ -220,39 +220,40 @@ class OverallFindings:
     @property
     def failed(self) -> dict[str, tuple[int, int]]:
         """By controller, the runs that failed, and all runs."""
-        return {name: (sum(case.failed for case in own), len(own)) for name, own in self.cases.items()}
+        return {name: (sum(case.failed for case in runs), len(runs)) for name, runs in self.cases.items()}
 
 
 def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     """Return what cases of one problem show."""
     everything = [*cases]
-    found = standings(study, everything)
-    worse = tuple(worse_previews(study, found))
+    ranking = standings(study, everything)
+    worse = tuple(worse_previews(study, ranking))
+    behind = (standing.controller for standing in ranking.order if not standing.failed and standing.rank > 1)
     return Findings(
-        found,
-        _lead(found),
-        found.leaders,
-        next((one.controller for one in found.order if not one.failed and one.rank > 1), ""),
-        tuple(one for one in found.order if one.failed),
+        ranking,
+        _lead(ranking),
+        ranking.leaders,
+        next(behind, ""),
+        tuple(standing for standing in ranking.order if standing.failed),
         worse,
         tuple(_remarks(study, everything, worse)),
     )
 
 
-def offers_of(study: Study, cases: Sequence[CaseResult], told: Findings) -> list[Offer]:
+def offers_of(study: Study, cases: Sequence[CaseResult], findings: Findings) -> list[Offer]:
     """Return what the best of those behind offer that the leaders do not, each controller once.
 
-    Of several outputs, and where nobody leads or nobody is behind, there is nothing to tell.
+    Of several outputs, and where no controller leads or none is behind, the list is empty.
     """
-    found, leaders = told.standings, told.leaders
-    rest = [one.controller for one in found.order if not one.failed and one.rank > 1]
-    if not leaders or not rest or len(found.keys) > 1:
+    ranking, leaders = findings.standings, findings.leaders
+    rest = [standing.controller for standing in ranking.order if not standing.failed and standing.rank > 1]
+    if not leaders or not rest or len(ranking.keys) > 1:
         return []
     offers: dict[str, Offer] = {}
     learned = {case.controller for case in cases if case.recorded_samples}
     if learned >= {*leaders} and (name := next((name for name in rest if name not in learned), "")):
         offers[name] = Offer(name, needs_no_recording=True)
-    counting = [case for case in cases if case.scenario not in found.left_out]
+    counting = [case for case in cases if case.scenario not in ranking.left_out]
     only = ScenarioFindings(study, counting) if len({case.scenario for case in counting}) == 1 else None
     if only and (closest := _settles_closest(only, leaders, rest)):
         name = closest.controller
@@ -260,20 +261,22 @@ def offers_of(study: Study, cases: Sequence[CaseResult], told: Findings) -> list
     return [*offers.values()]
 
 
-def _settles_closest(found: ScenarioFindings, leaders: Sequence[str], rest: Sequence[str]) -> Offer | None:
-    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
-    every = dict.fromkeys(key for case in found.cases for key in case.metrics)
+def _settles_closest(
+    scenario_findings: ScenarioFindings, leaders: Sequence[str], rest: Sequence[str]
+) -> Offer | None:
+    """Return who of the rest settles significantly closer than each leader, at half its error or less."""
+    every = dict.fromkeys(key for case in scenario_findings.cases for key in case.metrics)
     keys = [key for key in every if split_key(key)[0] == _SETTLED_ERROR]
     if len(keys) != 1:
         return None
     (key,) = keys
-    medians = found.medians(key)
+    medians = scenario_findings.medians(key)
     known = [name for name in rest if name in medians]
     if not known:
         return None
     name = min(known, key=medians.__getitem__)
     least = min((medians.get(leader, math.nan) for leader in leaders), default=math.nan)
-    differences = [found.compared(key).differences.get((name, leader)) for leader in leaders]
+    differences = [scenario_findings.compared(key).differences.get((name, leader)) for leader in leaders]
     sure = all(difference and difference.told_apart for difference in differences)
     if not sure or not medians[name] <= _MUCH_LESS * least:
         return None
@@ -289,19 +292,19 @@ def overall_findings(problems: Iterable[tuple[Study, Sequence[CaseResult]]]) -> 
         In a problem, the controllers share no run.
     """
     everything = [*problems]
-    found = tuple(standings(study, cases) for study, cases in everything)
-    frame = problems_frame(found)
+    rankings = tuple(standings(study, cases) for study, cases in everything)
+    frame = problems_frame(rankings)
     if frame is None:
         return None
     ranks = ranks_frame(frame, RANKED)
     if len(ranks.ranks) < 2:
         return None
     by_controller: dict[str, list[CaseResult]] = {}
-    for (_, cases), of_problem in zip(everything, found, strict=True):
+    for (_, cases), of_problem in zip(everything, rankings, strict=True):
         for case in cases:
             if case.scenario not in of_problem.left_out:
                 by_controller.setdefault(case.controller, []).append(case)
-    return OverallFindings(found, by_controller, ranks, frame)
+    return OverallFindings(rankings, by_controller, ranks, frame)
 
 
 def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview]) -> Iterator[Remark]:
@@ -310,12 +313,12 @@ def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePre
         yield Remark(text, is_failure=False)
     labels = {case.controller: printable(case.label, LONGEST_LABEL) for case in cases}
     scenarios = scenario_labels(study)
-    for one in worse:
-        name, signal, unit = split_key(one.key)
+    for preview in worse:
+        name, signal, unit = split_key(preview.key)
         what = " of ".join(filter(None, (metric_name(name), printable(signal))))
-        values = f"{one.with_more.median:.3g} against {one.with_less.median:.3g} {printable(unit)}"
-        more, less = scenarios[one.more], scenarios[one.less]
-        text = f'{labels[one.controller]} is worse in "{more}" than in "{less}", where it sees less ahead'
+        values = f"{preview.with_more.median:.3g} against {preview.with_less.median:.3g} {printable(unit)}"
+        more, less = scenarios[preview.more], scenarios[preview.less]
+        text = f'{labels[preview.controller]} is worse in "{more}" than in "{less}", where it sees less ahead'
         yield Remark(f"{text}: {what} {values}", is_failure=False)
     yield from (Remark(text, is_failure=False) for text in _mixed_versions(cases))
 
@@ -326,28 +329,29 @@ def _mixed_versions(cases: Iterable[CaseResult]) -> Iterator[str]:
     for case in cases:
         for name, version in case.versions.items():
             counts.setdefault(name, Counter())[version] += 1
-    for name, found in counts.items():
-        if len(found) > 1:
-            told = ", ".join(f"{printable(version)} ({count})" for version, count in found.most_common())
-            different = f"Cases ran with different versions of {printable(name)}: {told}"
+    for name, by_version in counts.items():
+        if len(by_version) > 1:
+            versions = (f"{printable(version)} ({count})" for version, count in by_version.most_common())
+            different = f"Cases ran with different versions of {printable(name)}: {', '.join(versions)}"
             yield f"{different}; a run with --fresh has one"
 
 
-def _lead(found: Standings) -> Lead:
-    sound = [one for one in found.order if not one.failed]
-    if not found.order:
+def _lead(ranking: Standings) -> Lead:
+    sound = [standing for standing in ranking.order if not standing.failed]
+    if not ranking.order:
         return Lead.NOBODY
     if not sound:
         return Lead.ALL_FAIL
-    if len(found.order) == 1:
+    if len(ranking.order) == 1:
         return Lead.ONLY_ONE
-    if found.disagreements:
+    if ranking.disagreements:
         return Lead.BY_SCENARIO
     if len(sound) == 1:
         return Lead.ONLY_SOUND
-    if len(found.leaders) > 1:
-        alike = found.tested and all(found.is_surely_small(*pair) for pair in combinations(found.leaders, 2))
+    if len(ranking.leaders) > 1:
+        pairs = combinations(ranking.leaders, 2)
+        alike = ranking.tested and all(ranking.is_surely_small(*pair) for pair in pairs)
         return Lead.ALIKE if alike else Lead.LEVEL
-    if found.tested and found.order[0].worst > 1:  # others are behind others, but none behind it
+    if ranking.tested and ranking.order[0].worst > 1:  # others are behind others, but none behind it
         return Lead.LEVEL
-    return Lead.AHEAD if found.tested or found.seeds < 2 else Lead.BEST_MEDIAN
+    return Lead.AHEAD if ranking.tested or ranking.seeds < 2 else Lead.BEST_MEDIAN

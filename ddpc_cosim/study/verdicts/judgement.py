@@ -107,53 +107,57 @@ def judged(
 def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None") -> CaseResult:
     if case.outcome is not Outcome.COMPLETED:
         return replace(case, failed=True, failure="", settles=False, left=math.inf)
-    nothing = {one.output: one for one in resting.tracking} if resting else {}
-    unavoidable = {one.output: _unavoidable(one, nothing.get(one.output), scenario) for one in case.tracking}
-    completed = resting is not None and resting.outcome is Outcome.COMPLETED
-    sizes = {
-        one.output: task_size(one, nothing.get(one.output) if completed else None) for one in case.tracking
+    nothing = {tracking.output: tracking for tracking in resting.tracking} if resting else {}
+    outputs = {tracking.output: tracking for tracking in case.tracking}
+    unavoidable = {
+        name: _unavoidable(output, nothing.get(name), scenario) for name, output in outputs.items()
     }
-    parts = [_left(one, sizes[one.output], unavoidable[one.output]) for one in case.tracking]
+    completed = resting is not None and resting.outcome is Outcome.COMPLETED
+    at_rest = nothing if completed else {}
+    sizes = {name: task_size(output, at_rest.get(name)) for name, output in outputs.items()}
+    parts = [_left(output, sizes[name], unavoidable[name]) for name, output in outputs.items()]
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
     failure = _distance(case.tracking, sizes, unavoidable)
     if not failure and completed:
         failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
-    tasks = {one.output: sizes[one.output] * one.factor for one in case.tracking}
+    tasks = {name: sizes[name] * output.factor for name, output in outputs.items()}
     return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most, tasks=tasks)
 
 
-def task_size(one: Tracking, nothing: Tracking | None) -> float:
+def task_size(tracking: Tracking, nothing: Tracking | None) -> float:
     """Return the size of an output's task, in its unit, by what it does itself while nothing is done."""
-    moved = _moved(one, nothing)
+    moved = _moved(tracking, nothing)
     if 0.0 < moved < math.inf:
         return moved
-    return one.room if 0.0 < one.room < math.inf else one.nominal
+    return tracking.room if 0.0 < tracking.room < math.inf else tracking.nominal
 
 
-def _moved(one: Tracking, nothing: Tracking | None) -> float:
+def _moved(tracking: Tracking, nothing: Tracking | None) -> float:
     gone = nothing.deviation if nothing else 0.0
-    return max(one.travel, gone if one.is_regulation else min(gone, _FARTHEST * one.travel))
+    return max(tracking.travel, gone if tracking.is_regulation else min(gone, _FARTHEST * tracking.travel))
 
 
-def _unavoidable(one: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None") -> Unavoidable:
-    noise = scenario.noise.get(one.output, 0.0) if scenario else 0.0
-    quantum = scenario.effects.get("quantum", {}).get(one.output, 0.0) if scenario else 0.0
-    # Where nothing acts on the plant, what its own dynamics do is no noise. The smaller: what is wild in one
+def _unavoidable(
+    tracking: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None"
+) -> Unavoidable:
+    noise = scenario.noise.get(tracking.output, 0.0) if scenario else 0.0
+    quantum = scenario.effects.get("quantum", {}).get(tracking.output, 0.0) if scenario else 0.0
+    # Where nothing acts on the plant, what its own dynamics do is not noise. The smaller: what is wild in one
     # of the two runs, as an unstable plant that is left alone, is none either.
     acts = scenario is not None and bool(scenario.disturbances or scenario.inputs)
-    scatter = min(one.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0
+    scatter = min(tracking.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0
     return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)
 
 
-def _left(one: Tracking, size: float, unavoidable: Unavoidable) -> float:
+def _left(tracking: Tracking, size: float, unavoidable: Unavoidable) -> float:
     """Return what is left at worst of a step, or of the task where the reference makes none [%]."""
     parts = [
         100.0
         * max(end.error - unavoidable.mean(end.rows), 0.0)
-        / (end.step if end.step > _SMALLEST_STEP * one.travel else size)
-        for end in one.ends
+        / (end.step if end.step > _SMALLEST_STEP * tracking.travel else size)
+        for end in tracking.ends
         if end.settling
     ]
     return max(parts, default=math.nan)
@@ -163,11 +167,11 @@ def _distance(
     tracking: Iterable[Tracking], sizes: Mapping[str, float], unavoidable: Mapping[str, Unavoidable]
 ) -> str:
     """Say which output ends further than half of its task away; nothing if none does."""
-    for one in tracking:
-        far = max((_far(end, unavoidable[one.output]) for end in one.ends), default=math.inf)
-        share = far / sizes[one.output]
+    for output in tracking:
+        far = max((_far(end, unavoidable[output.output]) for end in output.ends), default=math.inf)
+        share = far / sizes[output.output]
         if not share < _FAILED:
-            return f"{one.output} ends {_percent(share)} its task away from its reference"
+            return f"{output.output} ends {_percent(share)} its task away from its reference"
     return ""
 
 
@@ -183,20 +187,22 @@ def _against_nothing(
 ) -> str:
     """Say in which output a run is worse than doing nothing, or over all together; nothing if in none."""
     # One that rests while nothing is done has no task of its own: whatever acts on the others moves it.
-    alone = [[one] for one in tracking if _moved(one, nothing[one.output]) > 0.0]
+    alone = [[output] for output in tracking if _moved(output, nothing[output.output]) > 0.0]
     for outputs in (*alone, tracking):
-        own = fmean(one.mean_abs_error / sizes[one.output] for one in outputs)
-        rest = fmean(nothing[one.output].mean_abs_error / sizes[one.output] for one in outputs)
-        more = fmean(unavoidable[one.output].magnitude(_rows(one)) / sizes[one.output] for one in outputs)
-        if not own - rest <= more + _NEGLIGIBLE:
+        mean_error = fmean(output.mean_abs_error / sizes[output.output] for output in outputs)
+        rest = fmean(nothing[output.output].mean_abs_error / sizes[output.output] for output in outputs)
+        more = fmean(
+            unavoidable[output.output].magnitude(_rows(output)) / sizes[output.output] for output in outputs
+        )
+        if not mean_error - rest <= more + _NEGLIGIBLE:
             where = f"{outputs[0].output} is " if len(outputs) == 1 else ""
-            means = f"mean error {_percent(own)} the task, doing nothing {_percent(rest)} it"
+            means = f"mean error {_percent(mean_error)} the task, doing nothing {_percent(rest)} it"
             return f"{where}worse than doing nothing: {means}"
     return ""
 
 
-def _rows(one: Tracking) -> int:
-    return sum(end.rows for end in one.ends)
+def _rows(tracking: Tracking) -> int:
+    return sum(end.rows for end in tracking.ends)
 
 
 def _percent(share: float) -> str:
@@ -237,7 +243,9 @@ def none_settles(cases: Iterable[CaseResult]) -> str:
     shares: dict[str, list[float]] = {}
     for case in cases:
         shares.setdefault(case.controller, []).append(math.inf if case.failed else case.left)
-    if not shares or any(math.isnan(share) for own in shares.values() for share in own):
+    if not shares or any(
+        math.isnan(share) for controller_shares in shares.values() for share in controller_shares
+    ):
         return ""
     best = min(map(median, shares.values()))
     if best <= SETTLED:
@@ -266,15 +274,18 @@ def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
         Of one problem, over all its scenarios.
     """
     aside = set_aside(study)
-    own: dict[str, list[CaseResult]] = {}
+    by_controller: dict[str, list[CaseResult]] = {}
     for case in cases:
         if case.controller not in aside:
-            own.setdefault(case.controller, []).append(case)
-    counts = {key: sum(not one.failed and one.settles is False for one in runs) for key, runs in own.items()}
+            by_controller.setdefault(case.controller, []).append(case)
+    counts = {
+        key: sum(not case.failed and case.settles is False for case in runs)
+        for key, runs in by_controller.items()
+    }
     parts = [
-        f"{printable(own[key][0].label, LONGEST_LABEL)} in {count} of {len(own[key])} runs"
-        for key, count in counts.items()
-        if count
+        f"{printable(runs[0].label, LONGEST_LABEL)} in {counts[key]} of {len(runs)} runs"
+        for key, runs in by_controller.items()
+        if counts[key]
     ]
     return f"Does not settle within {SETTLED:g} %: {', '.join(parts)}" if parts else ""
 
@@ -296,7 +307,9 @@ class Remark(NamedTuple):
 
 def scenario_labels(study: "Study") -> dict[str, str]:
     """Return what the scenarios of a study are called in sentences, by name."""
-    return {name: printable(one.label or name, LONGEST_LABEL) for name, one in study.scenarios.items()}
+    return {
+        name: printable(scenario.label or name, LONGEST_LABEL) for name, scenario in study.scenarios.items()
+    }
 
 
 def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
@@ -310,14 +323,14 @@ def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark
         by_scenario.setdefault(case.scenario, []).append(case)
     labels = scenario_labels(study)
     where = "{}: " if len(by_scenario) > 1 else ""
-    found = []
-    for name, own in by_scenario.items():
-        competing = [case for case in own if case.controller not in aside]
+    remarks = []
+    for name, scenario_cases in by_scenario.items():
+        competing = [case for case in scenario_cases if case.controller not in aside]
         failed = all_failed(competing)
-        if text := failed or none_settles(own):
-            reason = _likely_reason(competing if failed else own, study)
-            found.append(Remark(f"{where.format(labels.get(name, name))}{text}{reason}", bool(failed)))
-    return found
+        if text := failed or none_settles(scenario_cases):
+            reason = _likely_reason(competing if failed else scenario_cases, study)
+            remarks.append(Remark(f"{where.format(labels.get(name, name))}{text}{reason}", bool(failed)))
+    return remarks
 
 
 def _likely_reason(cases: Sequence[CaseResult], study: "Study") -> str:
@@ -332,8 +345,8 @@ def _likely_reason(cases: Sequence[CaseResult], study: "Study") -> str:
         if key.startswith("time_at_bounds.")
     }
     stuck = [f"{name} {100 * time:.0f} % of the time" for name, time in times.items() if time > _STUCK]
-    told = [text.removeprefix(WHY) for text in study.report.limitations if text.startswith(WHY)]
-    reasons = [*([f"at its limits: {', '.join(stuck)}"] if stuck else []), *told]
+    declared = [text.removeprefix(WHY) for text in study.report.limitations if text.startswith(WHY)]
+    reasons = [*([f"at its limits: {', '.join(stuck)}"] if stuck else []), *declared]
     return "".join(f"; {reason}" for reason in reasons or _shared_warnings(cases)[:1])
 
 

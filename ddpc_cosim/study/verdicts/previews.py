@@ -1,4 +1,4 @@
-"""Whom seeing more of the reference makes worse: scenarios that differ in nothing else, side by side."""
+"""Controllers that are worse with more preview: scenarios that differ in nothing else, side by side."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -39,26 +39,26 @@ class WorsePreview(NamedTuple):
     difference: Difference
 
 
-def worse_previews(study: "Study", found: Standings) -> list[WorsePreview]:
+def worse_previews(study: "Study", ranking: Standings) -> list[WorsePreview]:
     """Return the controllers of a study of one problem that the seeds tell to be worse with more preview.
 
     Compared are scenarios that differ in their preview alone; the controllers of two such scenarios are one
     family of tests. Runs that failed are in no pair.
     """
     return [
-        one
+        preview
         for more, less in _pairs(study)
-        for key in found.keys
-        for one in _worse(key, more, less, found.runs[key], found.relevant_differences[key])
+        for key in ranking.keys
+        for preview in _worse(key, more, less, ranking.runs[key], ranking.relevant_differences[key])
     ]
 
 
 def _pairs(study: "Study") -> Iterator[tuple[str, str]]:
     """Yield the scenarios that differ in their preview alone, the one with more of it first."""
     for more, less in permutations(study.scenarios, 2):
-        one, other = study.scenarios[more], study.scenarios[less]
-        seen, unseen = study.loop.preview_of(one), study.loop.preview_of(other)
-        if replace(one, label=other.label, preview=other.preview) != other or unseen is None:
+        scenario, other = study.scenarios[more], study.scenarios[less]
+        seen, unseen = study.loop.preview_of(scenario), study.loop.preview_of(other)
+        if replace(scenario, label=other.label, preview=other.preview) != other or unseen is None:
             continue
         if seen is None or seen > unseen:
             yield more, less
@@ -67,14 +67,20 @@ def _pairs(study: "Study") -> Iterator[tuple[str, str]]:
 def _worse(
     key: str, more: str, less: str, runs: Mapping[str, Runs], relevant: float
 ) -> Iterator[WorsePreview]:
-    def within(scenario: str, own: Runs) -> Runs:
-        return {("", seed): one for (where, seed), one in own.items() if where == scenario and one == one}
+    def within(scenario: str, values: Runs) -> Runs:
+        return {
+            ("", seed): value
+            for (where, seed), value in values.items()
+            if where == scenario and value == value
+        }
 
-    pairs = {name: (within(more, own), within(less, own)) for name, own in runs.items()}
+    pairs = {name: (within(more, values), within(less, values)) for name, values in runs.items()}
     names = [name for name, both in pairs.items() if all(both)]
     table = {side + name: pairs[name][at] for name in names for at, side in enumerate(("more ", "less "))}
-    found = compare_pairs(table, [(f"more {name}", f"less {name}") for name in names], metric_of(key).better)
-    for name, difference in zip(names, found.values(), strict=True):
+    differences = compare_pairs(
+        table, [(f"more {name}", f"less {name}") for name in names], metric_of(key).better
+    )
+    for name, difference in zip(names, differences.values(), strict=True):
         if difference.told_worse and abs(difference.median) >= relevant:
             seen, unseen = map(describe, pairs[name])
             yield WorsePreview(name, key, more, less, seen, unseen, difference)

@@ -183,13 +183,14 @@ def setting_effect(settings: Sequence[object], values: FloatArray, better: Bette
     if better:
         values = np.where(known, values, -math.inf if better == "high" else math.inf)
     else:
-        settings, values = [one for one, kept in zip(settings, known, strict=True) if kept], values[known]
+        settings = [setting for setting, is_known in zip(settings, known, strict=True) if is_known]
+        values = values[known]
     levels = list(dict.fromkeys(map(repr, settings)))
-    place = np.array([levels.index(repr(one)) for one in settings])
+    place = np.array([levels.index(repr(setting)) for setting in settings])
     ranks = scipy.stats.rankdata(values)
     correlation, share = math.nan, math.nan
     if len(levels) > 1 and np.ptp(ranks):
-        if all(isinstance(one, int | float) and not isinstance(one, bool) for one in settings):
+        if all(isinstance(setting, int | float) and not isinstance(setting, bool) for setting in settings):
             correlation = float(scipy.stats.spearmanr(np.array(settings, dtype=float), ranks).statistic)
         if len(ranks) > len(levels):
             statistic = float(scipy.stats.kruskal(*(ranks[place == i] for i in range(len(levels)))).statistic)
@@ -201,7 +202,7 @@ RANKED = "mean_abs_error"
 """Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
 
 
-def problems_frame(found: Iterable[Standings]) -> "pd.DataFrame | None":
+def problems_frame(rankings: Iterable[Standings]) -> "pd.DataFrame | None":
     """Return the runs of several problems by what each ranks by; None of fewer than two with any.
 
     Of several outputs each is a condition of its own.
@@ -210,7 +211,7 @@ def problems_frame(found: Iterable[Standings]) -> "pd.DataFrame | None":
 
     runs = [
         (problem, key, controller, scenario, seed, value, math.isnan(value))
-        for problem, ranking in enumerate(found)
+        for problem, ranking in enumerate(rankings)
         for key, by_controller in ranking.runs.items()
         for controller, values in by_controller.items()
         for (scenario, seed), value in values.items()
@@ -276,8 +277,8 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
         keys = [*zip(part.isna().sum(), ranks, strict=True)]
         order = sorted(set(keys))
         rows.append([order.index(key) for key in keys])
-    found = average_ranks([*map(str, table.columns)], np.array(rows, dtype=float))
-    return found._replace(left_out=left_out)
+    averages = average_ranks([*map(str, table.columns)], np.array(rows, dtype=float))
+    return averages._replace(left_out=left_out)
 
 
 def _shared_runs(frame: "pd.DataFrame", metric: str) -> tuple["pd.DataFrame", tuple[str, ...]]:

@@ -48,25 +48,25 @@ def sentence(clause: Markup) -> Markup:
     return clause[:1].upper() + clause[1:]
 
 
-def lead_clause(told: Findings, controllers: Labels, scenarios: Labels) -> Markup:
+def lead_clause(findings: Findings, controllers: Labels, scenarios: Labels) -> Markup:
     """Say who is ahead, and in which way; of scenarios that disagree, who leads where."""
-    ranking = told.standings
-    if told.lead is Lead.NOBODY:
+    ranking = findings.standings
+    if findings.lead is Lead.NOBODY:
         return Markup("no controller competes here, so nothing is ranked")
-    if told.lead is Lead.ALL_FAIL:
+    if findings.lead is Lead.ALL_FAIL:
         return _fewest_failed(ranking, controllers)
-    if told.lead is Lead.BY_SCENARIO:
+    if findings.lead is Lead.BY_SCENARIO:
         return _by_scenario(ranking, controllers, scenarios)
-    over, (first, *_) = over_words(ranking), told.leaders
-    if told.lead is Lead.ONLY_ONE:
+    over, (first, *_) = over_words(ranking), findings.leaders
+    if findings.lead is Lead.ONLY_ONE:
         return Markup("there is nothing to compare {} with").format(italic(controllers[first]))
-    if told.lead is Lead.ONLY_SOUND:
+    if findings.lead is Lead.ONLY_SOUND:
         return Markup("{} alone has no failed run, {}").format(bold(controllers[first]), over)
-    if told.lead in (Lead.LEVEL, Lead.ALIKE):
-        return _level(told, controllers, over)
-    name = (bold if told.is_sure else italic)(controllers[first])
+    if findings.lead in (Lead.LEVEL, Lead.ALIKE):
+        return _level(findings, controllers, over)
+    name = (bold if findings.is_sure else italic)(controllers[first])
     medians = "has the best median" if len(ranking.keys) == 1 else "has the best medians"
-    return Markup("{} {} {}").format(name, "is ahead" if told.lead is Lead.AHEAD else medians, over)
+    return Markup("{} {} {}").format(name, "is ahead" if findings.lead is Lead.AHEAD else medians, over)
 
 
 def over_words(ranking: Standings) -> str:
@@ -78,21 +78,22 @@ def over_words(ranking: Standings) -> str:
     return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
 
 
-def _level(told: Findings, controllers: Labels, over: str) -> Markup:
+def _level(findings: Findings, controllers: Labels, over: str) -> Markup:
     """Say that several share the first rank, and why."""
-    who = some_of([bold(controllers[name]) for name in told.leaders])
-    if not told.standings.tested:
-        if len(told.standings.keys) > 1:  # one may be better in an output, and worse in another
+    who = some_of([bold(controllers[name]) for name in findings.leaders])
+    has_several_outputs = len(findings.standings.keys) > 1
+    if not findings.standings.tested:
+        if has_several_outputs:  # one may be better in an output, and worse in another
             return Markup("{} share the best medians {}").format(who, over)
         return Markup("{} have the best medians {}, which differ by too little to matter").format(who, over)
-    if len(told.standings.keys) > 1 or len(told.leaders) == 1:
-        if told.lead is Lead.ALIKE or told.tells_leaders_apart:
+    if has_several_outputs or len(findings.leaders) == 1:
+        if findings.lead is Lead.ALIKE or findings.tells_leaders_apart:
             return Markup("no controller is better than {} {} by enough to matter").format(who, over)
         return Markup("no controller is significantly better than {} {}").format(who, over)
     how = " and are not told apart"
-    if told.lead is Lead.ALIKE:
+    if findings.lead is Lead.ALIKE:
         how = ", and no difference between them matters"
-    elif told.tells_leaders_apart:
+    elif findings.tells_leaders_apart:
         how = " and none of them is significantly better by enough to matter"
     return Markup("{} lead {}{}").format(who, over, how)
 
@@ -120,27 +121,28 @@ def _fewest_failed(ranking: Standings, controllers: Labels) -> Markup:
     )
 
 
-def elsewhere_sentence(told: Findings, controllers: Labels) -> Markup:
+def elsewhere_sentence(findings: Findings, controllers: Labels) -> Markup:
     """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
-    others, led, scenarios = told.leads_elsewhere, told.scenarios_led, len(told.standings.by_scenario)
-    if not told.leaders or not others:
+    others, led = findings.leads_elsewhere, findings.scenarios_led
+    scenarios = len(findings.standings.by_scenario)
+    if not findings.leaders or not others:
         return Markup("")
     named = [italic(controllers[name]) + f" ({count})" for name, count in others.items()]
-    it = "it leads" if len(told.leaders) == 1 else "one of them leads"
+    it = "it leads" if len(findings.leaders) == 1 else "one of them leads"
     do = "does" if len(named) == 1 else "do"
     together = ", some together" if sum(others.values()) > scenarios - led else ""
     text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
     return Markup(text).format(it, led or "none", scenarios, some_of(named), do, together)
 
 
-def untested_sentence(told: Findings) -> str:
+def untested_sentence(findings: Findings) -> str:
     """Say why nothing could be tested; nothing where it was, or there is nothing to test."""
-    found = told.standings
-    if found.tested or len(found.order) < 2 or told.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
+    ranking = findings.standings
+    if ranking.tested or len(ranking.order) < 2 or findings.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
         return ""
-    if found.seeds < 2:
+    if ranking.seeds < 2:
         return "How much that depends on the seed is not known."
-    return f"{too_few_seeds_clause(found.compared.values())}."
+    return f"{too_few_seeds_clause(ranking.compared.values())}."
 
 
 def failed_runs(label: str, failed: int, runs: int) -> Markup:
@@ -167,11 +169,12 @@ def ahead_in_pairs_clause(names: Sequence[Markup]) -> Markup:
 
 def too_few_seeds_clause(comparisons: Iterable[Comparisons]) -> str:
     """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
-    few = [one for one in comparisons if one.too_few_seeds]
+    few = [comparison for comparison in comparisons if comparison.too_few_seeds]
     if not few:
         return ""
-    seeds, controllers = max(one.seeds for one in few), max(len(one.order) for one in few)
-    needed = max(one.seeds_needed for one in few)
+    seeds = max(comparison.seeds for comparison in few)
+    controllers = max(len(comparison.order) for comparison in few)
+    needed = max(comparison.seeds_needed for comparison in few)
     few_words = f"{seeds} seeds are too few to test {controllers} controllers against each other"
     return f"{few_words}: it takes {needed}"
 

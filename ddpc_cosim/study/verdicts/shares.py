@@ -79,10 +79,11 @@ def share_runs(
                 zero.metrics.get(metric, math.nan) if zero and zero.outcome is Outcome.COMPLETED else math.nan
             )
             m_full = full.metrics.get(metric, math.nan) if full and not full.failed else math.nan
-            one = RunShare(case, metric, m_zero, m_full, math.nan)
-            if not case.failed and one.has_way:
-                one = one._replace(share=(m_zero - case.metrics.get(metric, math.nan)) / (m_zero - m_full))
-            yield one
+            run_share = RunShare(case, metric, m_zero, m_full, math.nan)
+            if not case.failed and run_share.has_way:
+                gained = m_zero - case.metrics.get(metric, math.nan)
+                run_share = run_share._replace(share=gained / (m_zero - m_full))
+            yield run_share
 
 
 def shares_of(
@@ -92,12 +93,12 @@ def shares_of(
 
     A condition is a scenario and a metric.
     """
-    found: dict[str, dict[tuple[Hashable, int], float]] = {}
-    for one in share_runs(cases, points, metrics):
-        if one.has_way:
-            run = (one.case.scenario, one.metric), one.case.seed
-            found.setdefault(one.case.controller, {})[run] = one.share
-    return dict(found)
+    shares: dict[str, dict[tuple[Hashable, int], float]] = {}
+    for run_share in share_runs(cases, points, metrics):
+        if run_share.has_way:
+            run = (run_share.case.scenario, run_share.metric), run_share.case.seed
+            shares.setdefault(run_share.case.controller, {})[run] = run_share.share
+    return dict(shares)
 
 
 def end_of(controller: str, points: ReferencePoints | None) -> float | None:
@@ -142,26 +143,26 @@ def share_frame(whole: "WholeStudy", cases: Sequence[CaseResult], metric: str) -
     for case in cases:
         by_problem.setdefault(case.problem, []).append(case)
     rows = []
-    for name, own in by_problem.items():
+    for name, problem_cases in by_problem.items():
         study = whole.problems[name]
         if study.report.reference_points:
-            known = dict.fromkeys(key for case in own for key in case.metrics)
+            known = dict.fromkeys(key for case in problem_cases for key in case.metrics)
             metrics = [key for key in chosen if key in known] if metric else headline(known)
             rows += [
                 {
                     "problem": study.variant_of or name,
-                    "controller": one.case.controller,
-                    "label": one.case.label,
-                    "scenario": one.case.scenario,
+                    "controller": run_share.case.controller,
+                    "label": run_share.case.label,
+                    "scenario": run_share.case.scenario,
                     "variant": variant_words(study.varied),
-                    "seed": one.case.seed,
-                    "failed": one.case.failed,
-                    "metric": one.metric,
-                    "value": one.case.metrics.get(one.metric, math.nan),
-                    "zero": one.zero,
-                    "full": one.full,
-                    "share": one.share,
+                    "seed": run_share.case.seed,
+                    "failed": run_share.case.failed,
+                    "metric": run_share.metric,
+                    "value": run_share.case.metrics.get(run_share.metric, math.nan),
+                    "zero": run_share.zero,
+                    "full": run_share.full,
+                    "share": run_share.share,
                 }
-                for one in share_runs(own, study.report.reference_points, metrics)
+                for run_share in share_runs(problem_cases, study.report.reference_points, metrics)
             ]
     return pd.DataFrame(rows)

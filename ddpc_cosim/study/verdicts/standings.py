@@ -1,4 +1,4 @@
-"""The standings of one problem: who is ahead, whom its seeds tell apart, and whose runs failed."""
+"""The standings of one problem: who is ahead, who differs significantly, and whose runs failed."""
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -92,7 +92,7 @@ class Relevant:
         given = self.absolute
         absolute = given.get(split_key(key)[1]) if isinstance(given, Mapping) else given
         percent = (_PERCENT if absolute is None else 0.0) if self.percent is None else self.percent
-        size = max((abs(one) for one in (best, task) if math.isfinite(one)), default=0.0)
+        size = max((abs(value) for value in (best, task) if math.isfinite(value)), default=0.0)
         return max(absolute or 0.0, percent / 100 * size)
 
 
@@ -130,15 +130,15 @@ class Standings:
     @cached_property
     def failed(self) -> dict[str, int]:
         """By controller, the runs that failed."""
-        own = next(iter(self.runs.values()), {})
-        return {name: sum(map(math.isnan, runs.values())) for name, runs in own.items()}
+        return {name: sum(map(math.isnan, runs.values())) for name, runs in self._by_controller.items()}
 
     @cached_property
     def compared(self) -> dict[str, Comparisons]:
         """By key, the controllers of which no run failed, compared each with each."""
         return {
             key: compare_all(
-                {name: own for name, own in runs.items() if not self.failed[name]}, metric_of(key).better
+                {name: values for name, values in runs.items() if not self.failed[name]},
+                metric_of(key).better,
             )
             for key, runs in self.runs.items()
         }
@@ -146,24 +146,24 @@ class Standings:
     @cached_property
     def samples(self) -> dict[str, dict[str, Sample]]:
         """By key and controller, what the runs come to."""
-        return {key: {name: describe(own) for name, own in runs.items()} for key, runs in self.runs.items()}
+        return {
+            key: {name: describe(values) for name, values in runs.items()} for key, runs in self.runs.items()
+        }
 
     @cached_property
     def seeds(self) -> int:
         """How many seeds there are."""
-        own = next(iter(self.runs.values()), {})
-        return len({seed for runs in own.values() for _, seed in runs})
+        return len({seed for runs in self._by_controller.values() for _, seed in runs})
 
     @cached_property
     def tested(self) -> bool:
         """Whether the seeds can tell controllers apart; if not, the medians decide."""
-        return self.seeds > 1 and not any(one.too_few_seeds for one in self.compared.values())
+        return self.seeds > 1 and not any(comparisons.too_few_seeds for comparisons in self.compared.values())
 
     @property
     def is_uneven(self) -> bool:
         """Whether not all controllers have the same runs."""
-        own = next(iter(self.runs.values()), {})
-        return len({frozenset(runs) for runs in own.values()}) > 1
+        return len({frozenset(runs) for runs in self._by_controller.values()}) > 1
 
     @cached_property
     def relevant_differences(self) -> dict[str, float]:
@@ -181,27 +181,27 @@ class Standings:
         """The controllers, the best first; those of one rank in the order of their medians."""
         sound, total = self._sound, len(self.failed)
         failing = sorted(failed for failed in self.failed.values() if failed)
-        count = {name: len(own) for name, own in next(iter(self.runs.values()), {}).items()}
+        count = {name: len(values) for name, values in self._by_controller.items()}
         behind = self._behind
         shown = total > 1 and self.failed != count and not self.disagreements
         ahead = dict.fromkeys(sound, 0)
-        for one in sound:
+        for controller in sound:
             for other in sound:
-                ahead[one] += self._worse(one, other) == other if one != other else 0
-        found = []
+                ahead[controller] += self._worse(controller, other) == other if controller != other else 0
+        ranked = []
         for name, failed in self.failed.items():
             if failed:
                 rank = 1 + len(sound) + failing.index(failed)
                 worst = len(sound) + len(failing) - failing[::-1].index(failed)
             else:
                 rank, worst = 1 + behind[name], total - len(failing) - ahead[name]
-            found.append(Standing(name, rank, failed, count[name], worst, shown))
-        return tuple(sorted(found, key=lambda one: (one.rank, self._place(one.controller))))
+            ranked.append(Standing(name, rank, failed, count[name], worst, shown))
+        return tuple(sorted(ranked, key=lambda standing: (standing.rank, self._place(standing.controller))))
 
     @property
     def is_ranked(self) -> bool:
-        """Whether anybody has a rank: not where there is one only, all runs failed, or scenarios disagree."""
-        return any(one.shown for one in self.order)
+        """Whether there are ranks: not of one controller, where all runs failed, or scenarios disagree."""
+        return any(standing.shown for standing in self.order)
 
     @property
     def leaders(self) -> tuple[str, ...]:
@@ -211,14 +211,14 @@ class Standings:
     @cached_property
     def by_scenario(self) -> dict[str, "Standings"]:
         """The standings of each scenario that counts; none where there is but one."""
-        own = next(iter(self.runs.values()), {})
-        names = dict.fromkeys(cast("str", scenario) for runs in own.values() for scenario, _ in runs)
+        runs_of_each = self._by_controller.values()
+        names = dict.fromkeys(cast("str", scenario) for runs in runs_of_each for scenario, _ in runs)
         return {name: self._within(name) for name in names} if len(names) > 1 else {}
 
     @property
     def leaders_by_scenario(self) -> dict[str, tuple[str, ...]]:
         """By scenario, its leaders."""
-        return {name: found.leaders for name, found in self.by_scenario.items()}
+        return {name: ranking.leaders for name, ranking in self.by_scenario.items()}
 
     @cached_property
     def disagreements(self) -> tuple[Interaction, ...]:
@@ -234,26 +234,27 @@ class Standings:
         leading = {*self._first, *(name for names in self.leaders_by_scenario.values() for name in names)}
         leading &= {*self._sound}
         return tuple(
-            one
+            interaction
             for key in self.keys
             if any(
                 self._changes(key, pair, *of)
                 for pair in combinations(leading, 2)
                 for of in combinations(self.by_scenario, 2)
             )
-            for one in interactions({name: self.runs[key][name] for name in self._sound})
-            if one.told
-            and leading >= {*one.pair}
-            and abs(one.median) >= self.relevant_differences[key]
-            and self._changes(key, one.pair, *cast("tuple[str, str]", one.conditions))
+            for interaction in interactions({name: self.runs[key][name] for name in self._sound})
+            if interaction.is_significant
+            and leading >= {*interaction.pair}
+            and abs(interaction.median) >= self.relevant_differences[key]
+            and self._changes(key, interaction.pair, *cast("tuple[str, str]", interaction.conditions))
         )
 
     def is_surely_small(self, a: str, b: str) -> bool:
         """Whether no difference of two controllers matters wherever in its 95 % interval it lies."""
-        found = {key: self.difference(key, a, b) for key in self.keys}
+        differences = {key: self.difference(key, a, b) for key in self.keys}
         return all(
-            one is not None and max(abs(one.low), abs(one.high)) < self.relevant_differences[key]
-            for key, one in found.items()
+            difference is not None
+            and max(abs(difference.low), abs(difference.high)) < self.relevant_differences[key]
+            for key, difference in differences.items()
         )
 
     def difference(self, key: str, a: str, b: str) -> Difference | None:
@@ -273,6 +274,11 @@ class Standings:
             return math.nan
         ratio = 1 + self.above(key, first, other).median / median_of_first
         return ratio if ratio >= 0 else math.nan
+
+    @property
+    def _by_controller(self) -> dict[str, Runs]:
+        """Return the runs of each controller by the first key; of the others they are the same runs."""
+        return next(iter(self.runs.values()), {})
 
     @cached_property
     def _sound(self) -> list[str]:
@@ -298,9 +304,9 @@ class Standings:
     def _within(self, scenario: str) -> "Standings":
         runs: dict[str, dict[str, Runs]] = {
             key: {
-                name: own
+                name: selected
                 for name, all_runs in of_key.items()
-                if (own := {run: value for run, value in all_runs.items() if run[0] == scenario})
+                if (selected := {run: value for run, value in all_runs.items() if run[0] == scenario})
             }
             for key, of_key in self.runs.items()
         }
@@ -308,14 +314,14 @@ class Standings:
 
     def _task(self, key: str) -> float:
         """Return the size of the task of a key's output: of several scenarios the median."""
-        sizes = [own[key] for own in self.tasks.values() if key in own]
+        sizes = [by_key[key] for by_key in self.tasks.values() if key in by_key]
         return median(sizes) if sizes else math.nan
 
-    def _changes(self, key: str, pair: tuple[str, str], one: str, other: str) -> bool:
+    def _changes(self, key: str, pair: tuple[str, str], scenario: str, other: str) -> bool:
         """Return whether one of two is significantly better in one scenario, and not in another."""
-        here = [self.by_scenario[name] for name in (one, other)]
-        ran = all({*pair} <= found.failed.keys() for found in here)
-        return ran and len({found._worse_in(key, *pair) for found in here}) > 1
+        here = [self.by_scenario[name] for name in (scenario, other)]
+        ran = all({*pair} <= ranking.failed.keys() for ranking in here)
+        return ran and len({ranking._worse_in(key, *pair) for ranking in here}) > 1
 
     def _worse(self, a: str, b: str) -> str:
         """Return the worse of two controllers of which no run failed; nothing where neither is."""
@@ -328,8 +334,8 @@ class Standings:
         if self.tested:
             differences = self.compared[key].differences
             pair = (a, b) if (a, b) in differences else (b, a)
-            found = differences.get(pair)
-            return pair[not found.told_worse] if found and found.told_apart else ""
+            difference = differences.get(pair)
+            return pair[not difference.told_worse] if difference and difference.told_apart else ""
         values = [*map(metric_of(key).rank, self._medians(key, a, b))]
         if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
             return ""
@@ -342,8 +348,8 @@ class Standings:
             return False
         if len({f"{value:.{_DIGITS}g}" for value in medians}) == 1:
             return True
-        found = self.difference(key, a, b)
-        difference = found.median if self.tested and found else medians[0] - medians[1]
+        of_seeds = self.difference(key, a, b)
+        difference = of_seeds.median if self.tested and of_seeds else medians[0] - medians[1]
         return abs(difference) < self.relevant_differences[key]
 
     def _medians(self, key: str, a: str, b: str) -> list[float]:
@@ -361,7 +367,9 @@ class Standings:
         """Return the mean place of a controller's medians among those of all, key by key."""
         places = []
         for key in self.keys:
-            values = {one: metric_of(key).rank(own.median) for one, own in self.samples[key].items()}
+            values = {
+                other: metric_of(key).rank(sample.median) for other, sample in self.samples[key].items()
+            }
             known = sorted(value for value in values.values() if not math.isnan(value))
             places.append(known.index(values[name]) if values[name] in known else math.inf)
         return fmean(places) if places else 0.0
@@ -373,11 +381,11 @@ def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
     Of figures of the step response, and of what is ranked by, they are the cases that did not fail;
     where all did, what is ranked by is that of the completed cases, as all else is.
     """
-    own = [*cases]
-    sound = [case for case in own if not case.failed]
+    everything = [*cases]
+    sound = [case for case in everything if not case.failed]
     if metric_of(key).if_held or (sound and split_key(key)[0] in _ERRORS):
         return sound
-    return [case for case in own if case.outcome is Outcome.COMPLETED]
+    return [case for case in everything if case.outcome is Outcome.COMPLETED]
 
 
 def known_values(cases: Iterable[CaseResult], key: str) -> list[float]:
@@ -423,10 +431,10 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
         by_scenario.setdefault(case.scenario, []).append(case)
     left_out = tuple(
         name
-        for name, own in by_scenario.items()
-        if all_failed(case for case in own if case.controller not in aside)
+        for name, group in by_scenario.items()
+        if all_failed(case for case in group if case.controller not in aside)
     )
-    counting = [case for name, own in by_scenario.items() if name not in left_out for case in own]
+    counting = [case for name, group in by_scenario.items() if name not in left_out for case in group]
     keys = headline(dict.fromkeys(key for case in counting for key in case.metrics))
     runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
     for case in counting:
@@ -436,8 +444,9 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
-    tasks = {name: _tasks(keys, own) for name, own in by_scenario.items() if name not in left_out}
-    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, tasks)
+    tasks = {name: _tasks(keys, group) for name, group in by_scenario.items() if name not in left_out}
+    by_key: dict[str, dict[str, Runs]] = {key: dict(by_controller) for key, by_controller in runs.items()}
+    return Standings(keys, by_key, left_out, relevant, tasks)
 
 
 def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:

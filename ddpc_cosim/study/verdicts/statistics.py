@@ -4,9 +4,9 @@ The seed is what is drawn at random, so each seed gives one value: where it has 
 variants), their median. Scenarios do not multiply the seeds. A run that failed has no value: it is counted,
 and never averaged away.
 
-Who is told apart is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips of
-signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
-differences of one seed may then change their signs together, which keeps how they hang together.
+Which controllers differ is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips
+of signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
+differences of one seed may then change their signs together, which keeps their correlation.
 """
 
 import math
@@ -147,7 +147,8 @@ class Comparisons:
     @cached_property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The largest groups that the data do not tell apart: two share one if and only if they are not."""
-        return groups(self.order, {pair for pair, one in self.differences.items() if one.told_apart})
+        apart = {pair for pair, difference in self.differences.items() if difference.told_apart}
+        return groups(self.order, apart)
 
     @cached_property
     def letters(self) -> dict[str, str]:
@@ -157,7 +158,7 @@ class Comparisons:
     @property
     def tests(self) -> int:
         """How many comparisons are in the family of tests."""
-        return sum(one.tested for one in self.differences.values())
+        return sum(difference.tested for difference in self.differences.values())
 
     @property
     def seeds_needed(self) -> int:
@@ -167,32 +168,41 @@ class Comparisons:
     @property
     def seeds(self) -> int:
         """The most seeds that any two share."""
-        return max((one.seeds for one in self.differences.values()), default=0)
+        return max((difference.seeds for difference in self.differences.values()), default=0)
 
     @property
     def tells_first(self) -> bool:
         """Whether the pairs tell that the first is better than each other one."""
-        first = [one for (name, _), one in self.differences.items() if name == self.order[0]]
-        return not self.too_few_seeds and all(one.told_apart and not one.told_worse for one in first)
+        first = [difference for (name, _), difference in self.differences.items() if name == self.order[0]]
+        return not self.too_few_seeds and all(
+            difference.told_apart and not difference.told_worse for difference in first
+        )
 
     @cached_property
     def level_with_first(self) -> frozenset[str]:
         """Those that the pairs do not tell apart from the first; none where the seeds are too few."""
-        return frozenset() if self.too_few_seeds else self._to_first(lambda one: not one.told_apart)
+        level = self._to_first(lambda difference: not difference.told_apart)
+        return frozenset() if self.too_few_seeds else level
 
     @cached_property
     def ahead_of_first(self) -> frozenset[str]:
         """Those that the pairs tell to be better than the first, despite its median."""
-        return self._to_first(lambda one: one.told_worse)
+        return self._to_first(lambda difference: difference.told_worse)
 
     def _to_first(self, chosen: Callable[[Difference], bool]) -> frozenset[str]:
         pairs = self.differences.items()
-        return frozenset(other for (name, other), one in pairs if name == self.order[0] and chosen(one))
+        return frozenset(
+            other for (name, other), difference in pairs if name == self.order[0] and chosen(difference)
+        )
 
     @cached_property
     def behind(self) -> frozenset[tuple[str, str]]:
         """Pairs that are told apart as their medians say, both ways round."""
-        pairs = [pair for pair, one in self.differences.items() if one.told_apart and not one.told_worse]
+        pairs = [
+            pair
+            for pair, difference in self.differences.items()
+            if difference.told_apart and not difference.told_worse
+        ]
         return frozenset([*pairs, *((b, a) for a, b in pairs)])
 
     def between(self, a: str, b: str) -> Difference | None:
@@ -201,8 +211,8 @@ class Comparisons:
 
     def above(self, first: str, other: str, runs: Mapping[str, Runs], better: Better) -> Difference:
         """Return another less the first, one with failed runs too; p is corrected where they were tested."""
-        tested, found = self.between(first, other), compare(runs[other], runs[first], better)
-        return found._replace(corrected=tested.corrected) if tested else found
+        tested, difference = self.between(first, other), compare(runs[other], runs[first], better)
+        return difference._replace(corrected=tested.corrected) if tested else difference
 
     @property
     def too_few_seeds(self) -> bool:
@@ -242,17 +252,17 @@ class Interaction(NamedTuple):
     constant: bool
 
     @property
-    def told(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the difference depends on the condition by more than chance explains."""
         return (self.constant and self.median != 0) or self.corrected <= LEVEL
 
 
-def compare(own: Runs, other: Runs, better: Better = "low") -> Difference:
+def compare(runs: Runs, other: Runs, better: Better = "low") -> Difference:
     """Compare two controllers, run by run of the same condition and seed."""
-    both = {key: (value, other[key]) for key, value in own.items() if key in other}
+    both = {key: (value, other[key]) for key, value in runs.items() if key in other}
     have = [(math.isfinite(a), math.isfinite(b)) for a, b in both.values()]
     pairs = {key: ab for key, ab in both.items() if all(map(math.isfinite, ab))}
-    by_seed = _differences(own, other)
+    by_seed = _differences(runs, other)
     differences = np.array([*by_seed.values()])
     constant = all(_constant({key: ab[i] for key, ab in pairs.items()}) for i in (0, 1))
     tested = 0 < len(pairs) == len(both) and not constant
@@ -277,7 +287,7 @@ def compare_pairs(
 ) -> dict[tuple[str, str], Difference]:
     """Compare the controllers of each pair, the pairs being one family of tests."""
     table = {(a, b): compare(runs[a], runs[b], better) for a, b in pairs}
-    family = [pair for pair, one in table.items() if one.tested]
+    family = [pair for pair, difference in table.items() if difference.tested]
     corrected = max_t([_differences(runs[a], runs[b]) for a, b in family], family)
     return table | {
         pair: table[pair]._replace(corrected=p) for pair, p in zip(family, corrected, strict=True)
@@ -286,7 +296,7 @@ def compare_pairs(
 
 def compare_all(runs: Mapping[str, Runs], better: Better = "low") -> Comparisons:
     """Compare controllers, each with each, all pairs being one family of tests."""
-    medians = {name: describe(own).median for name, own in runs.items()}
+    medians = {name: describe(controller_runs).median for name, controller_runs in runs.items()}
     sign = -1 if better == "high" else 1
     order = sorted((name for name in runs if medians[name] == medians[name]), key=lambda n: sign * medians[n])
     return Comparisons(tuple(order), compare_pairs(runs, combinations(order, 2), better))
@@ -297,13 +307,13 @@ def interactions(runs: Mapping[str, Runs]) -> list[Interaction]:
 
     Only seeds count with which both ran under both conditions; without such seeds there is no interaction.
     """
-    own = {name: _by_condition(of_one) for name, of_one in runs.items()}
-    found, family, members = [], [], []
-    for a, b in combinations(own, 2):
-        shared = [condition for condition in own[a] if condition in own[b]]
-        for one, other in combinations(shared, 2):
-            cells = [(a, one), (b, one), (a, other), (b, other)]
-            four = [own[name][condition] for name, condition in cells]
+    by_condition = {name: _by_condition(values) for name, values in runs.items()}
+    compared, family, members = [], [], []
+    for a, b in combinations(by_condition, 2):
+        shared = [condition for condition in by_condition[a] if condition in by_condition[b]]
+        for first, other in combinations(shared, 2):
+            cells = [(a, first), (b, first), (a, other), (b, other)]
+            four = [by_condition[name][condition] for name, condition in cells]
             seeds = sorted(set[int].intersection(*map(set, four)))
             values = {
                 seed: _difference(four[0][seed], four[1][seed]) - _difference(four[2][seed], four[3][seed])
@@ -313,12 +323,15 @@ def interactions(runs: Mapping[str, Runs]) -> list[Interaction]:
             complete = all(map(math.isfinite, values.values()))
             if seeds and complete:
                 middle = median(values.values())
-                found.append(Interaction((a, b), (one, other), middle, math.nan, constant))
+                compared.append(Interaction((a, b), (first, other), middle, math.nan, constant))
             if seeds and complete and not constant:
                 family.append(values)
                 members.append(cells)
     corrected = iter(max_t(family, members))
-    return [one if one.constant else one._replace(corrected=next(corrected)) for one in found]
+    return [
+        interaction if interaction.constant else interaction._replace(corrected=next(corrected))
+        for interaction in compared
+    ]
 
 
 def max_t(differences: Sequence[Mapping[int, float]], members: Sequence[Sequence[Hashable]]) -> list[float]:
@@ -342,15 +355,15 @@ def max_t(differences: Sequence[Mapping[int, float]], members: Sequence[Sequence
     members : sequence of sequence of hashable
         Of each difference, which controllers it is of: equally many of each.
     """
-    enough = [place for place, own in enumerate(differences) if len(own) >= FEWEST]
+    enough = [place for place, by_seed in enumerate(differences) if len(by_seed) >= FEWEST]
     p = [math.nan] * len(differences)
     if enough:
         seeds = sorted({seed for place in enough for seed in differences[place]})
         numbers: dict[Hashable, int] = {}
         rows = [[differences[place].get(seed, math.nan) for seed in seeds] for place in enough]
-        of = [[numbers.setdefault(one, len(numbers)) for one in members[place]] for place in enough]
-        for place, own in zip(enough, step_down(np.array(rows), np.array(of)).tolist(), strict=True):
-            p[place] = own
+        of = [[numbers.setdefault(member, len(numbers)) for member in members[place]] for place in enough]
+        for place, value in zip(enough, step_down(np.array(rows), np.array(of)).tolist(), strict=True):
+            p[place] = value
     return p
 
 
@@ -392,9 +405,9 @@ def _scales(values: FloatArray, counts: _Places, members: _Places2) -> FloatArra
     order = np.lexsort((np.repeat(spread, members.shape[1]), flat))
     of_each = np.bincount(flat)
     middle = order[np.cumsum(of_each) - of_each + (of_each - 1) // 2]
-    own = spread[middle // members.shape[1]]
+    member_scales = spread[middle // members.shape[1]]
     size = np.sqrt(square)
-    scales = np.sqrt((own[members] ** 2).sum(axis=1)).clip(_SAME * size, _LARGEST_SCALE * size)
+    scales = np.sqrt((member_scales[members] ** 2).sum(axis=1)).clip(_SAME * size, _LARGEST_SCALE * size)
     return np.where(size > 0, scales, 1.0)
 
 
@@ -453,11 +466,13 @@ def groups(order: Sequence[str], told_apart: Collection[tuple[str, str]]) -> tup
     They are the letters of a compact letter display (Piepho 2004): two controllers share a group if and only
     if they are not told apart. One that differs from all others is a group of its own.
     """
-    found = [frozenset(order)] if order else []
+    largest = [frozenset(order)] if order else []
     for a, b in told_apart:
-        parts = {part for one in found for part in ([one - {a}, one - {b}] if {a, b} <= one else [one])}
-        found = [part for part in parts if not any(part < other for other in parts)]
-    places = sorted(sorted(map(order.index, group)) for group in found)
+        parts = {
+            part for group in largest for part in ([group - {a}, group - {b}] if {a, b} <= group else [group])
+        }
+        largest = [part for part in parts if not any(part < other for other in parts)]
+    places = sorted(sorted(map(order.index, group)) for group in largest)
     return tuple(tuple(order[i] for i in group) for group in places)
 
 
@@ -466,9 +481,9 @@ def letters(groups: Sequence[Sequence[str]]) -> dict[str, str]:
     names = [*ascii_lowercase, *(str(number) for number in range(27, len(groups) + 1))]
     table: dict[str, list[str]] = {}
     for name, group in zip(names, groups, strict=False):
-        for one in group:
-            table.setdefault(one, []).append(name)
-    return {one: " ".join(own) for one, own in table.items()}
+        for member in group:
+            table.setdefault(member, []).append(name)
+    return {member: " ".join(member_names) for member, member_names in table.items()}
 
 
 def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.DataFrame":
@@ -509,16 +524,18 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
             help_text = did_you_mean(baseline, runs)
             raise ConfigError(f'baseline = "{baseline}": not in problem "{problem}"; {help_text}')
         pairs = [(name, baseline) for name in runs if name != baseline]
-        differences = {name: one for (name, _), one in compare_pairs(runs, pairs, better).items()}
+        differences = {
+            name: difference for (name, _), difference in compare_pairs(runs, pairs, better).items()
+        }
         failed = part.groupby("controller", sort=False)["failed"].sum()
-        for name, own in runs.items():
+        for name, controller_runs in runs.items():
             row = {"problem": problem, "controller": name, "failed": int(failed[name])}
-            row |= describe(own)._asdict()
-            if one := differences.get(name):
+            row |= describe(controller_runs)._asdict()
+            if difference := differences.get(name):
                 names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
                 names |= {"low": "difference_low", "high": "difference_high"}
-                row |= {names.get(key, key): value for key, value in one._asdict().items()}
-                row["told_apart"] = one.told_apart
+                row |= {names.get(key, key): value for key, value in difference._asdict().items()}
+                row["told_apart"] = difference.told_apart
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -544,8 +561,8 @@ def check_frame(frame: "pd.DataFrame", metric: str) -> None:
     """
     run = ["problem", "controller", "scenario", "variant", "seed"]
     if metric not in frame:
-        found = [str(column) for column in frame if column not in (*run, "failed")]
-        raise ConfigError(f'metric "{metric}": there is no such column; {did_you_mean(metric, found)}')
+        columns = [str(column) for column in frame if column not in (*run, "failed")]
+        raise ConfigError(f'metric "{metric}": there is no such column; {did_you_mean(metric, columns)}')
     twice = frame[frame.duplicated(run)]
     if len(twice):
         which = ", ".join(f"{key} {value}" for key, value in twice.iloc[0][run].items())
@@ -558,7 +575,7 @@ def _by_seed(runs: Runs) -> dict[int, float]:
     for (_, seed), value in runs.items():
         if math.isfinite(value):
             values.setdefault(seed, []).append(value)
-    return {seed: median(own) for seed, own in values.items()}
+    return {seed: median(seed_values) for seed, seed_values in values.items()}
 
 
 def _by_condition(runs: Runs) -> dict[Hashable, dict[int, float]]:
@@ -569,9 +586,9 @@ def _by_condition(runs: Runs) -> dict[Hashable, dict[int, float]]:
     return values
 
 
-def _differences(own: Runs, other: Runs) -> dict[int, float]:
+def _differences(runs: Runs, other: Runs) -> dict[int, float]:
     """Return of each seed the median difference of the runs that both have."""
-    return _by_seed({key: _difference(a, other[key]) for key, a in own.items() if key in other})
+    return _by_seed({key: _difference(a, other[key]) for key, a in runs.items() if key in other})
 
 
 def _difference(a: float, b: float) -> float:
@@ -583,5 +600,8 @@ def _constant(runs: Runs) -> bool:
     ranges: dict[Hashable, list[float]] = {}
     for (condition, _), value in runs.items():
         ranges.setdefault(condition, []).append(value)
-    same = (len(own) > 1 and math.isclose(min(own), max(own), rel_tol=_SAME) for own in ranges.values())
+    same = (
+        len(values) > 1 and math.isclose(min(values), max(values), rel_tol=_SAME)
+        for values in ranges.values()
+    )
     return bool(ranges) and all(same)

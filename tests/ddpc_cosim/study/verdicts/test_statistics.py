@@ -371,9 +371,9 @@ def test_interactions_are_differences_of_differences() -> None:
     assert (found.pair, found.conditions, found.constant) == (("a", "b"), ("x", "y"), False)
     assert found.median == pytest.approx(np.median(values))
     assert found.corrected == 2 / 256
-    assert found.told
+    assert found.is_significant
     (alike,) = interactions(two_scenarios(1.0, 1.0))
-    assert not alike.told
+    assert not alike.is_significant
 
 
 def test_interactions_of_what_the_seed_does_not_change_are_known() -> None:
@@ -382,7 +382,7 @@ def test_interactions_of_what_the_seed_does_not_change_are_known() -> None:
         for name, of in {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}, "c": {"x": 1.0}}.items()
     }
     (found,) = interactions(own)
-    assert (found.median, found.constant, found.told) == (-2.0, True, True)
+    assert (found.median, found.constant, found.is_significant) == (-2.0, True, True)
 
 
 def test_the_table_of_a_study() -> None:
