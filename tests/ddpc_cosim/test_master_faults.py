@@ -209,8 +209,8 @@ def test_what_does_not_fit_is_refused(settings: dict[str, Any], faults: list[str
     with pytest.raises(ConfigError) as caught:
         close_loop(Answering(), **settings)
     assert len(caught.value.faults) == len(faults)
-    for found, expected in zip(caught.value.faults, faults, strict=True):
-        assert expected in found
+    for fault, expected in zip(caught.value.faults, faults, strict=True):
+        assert expected in fault
 
 
 def test_a_controller_that_learns_from_a_recording_needs_one() -> None:

@@ -396,10 +396,10 @@ class TestWhatIsUnpacked:
         self, files: Files, faulty_fmus: dict[int, Path], tmp_path: Path
     ) -> None:
         unpack(faulty_fmus[2], tmp_path)
-        found = {
+        extracted = {
             p.relative_to(tmp_path).as_posix(): p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()
         }
-        assert found == dict(files)
+        assert extracted == dict(files)
 
     def test_odd_but_harmless(self, tmp_path: Path) -> None:
         """Some archivers write ``./x`` and ``a//x``, and some the same file twice."""
@@ -410,5 +410,5 @@ class TestWhatIsUnpacked:
         folder = tmp_path / "folder"
         folder.mkdir()
         unpack(path, folder)
-        found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-        assert found == {"modelDescription.xml", "a.txt", "b/c.txt"}
+        extracted = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+        assert extracted == {"modelDescription.xml", "a.txt", "b/c.txt"}
