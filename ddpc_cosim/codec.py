@@ -98,7 +98,7 @@ class Kinds:
     default: str = ""
 
     def meant_by(self, table: Any) -> Sequence[type[Any]]:
-        """Return the class that a table says it is of; all of them where it says none, as a part of one."""
+        """Return the class that a table names; all of them where it names none, as a part of a table does."""
         name = table.get(KIND) if isinstance(table, dict) else None
         return [kind for known, kind in self.classes.items() if name in (None, known)]
 
@@ -159,7 +159,7 @@ class DeclaredField(NamedTuple):
     info : SettingInfo
         What :func:`ddpc_cosim.setting` declares.
     is_required : bool
-        Whether it has no default.
+        Whether a file has to say it.
     default : callable
         Makes its default.
     within : str
@@ -261,7 +261,7 @@ class ValidationErrors:
         error : str
             What is wrong and what to do.
         *depends_on : tuple
-            Other places that it depends on: if one is in doubt, nothing is known here.
+            Other places that it depends on: if one is in doubt, the error is not reported.
         """
         within_doubt = any(place[:n] in self._doubtful for n in range(len(place) + 1))
         if not within_doubt and not any(map(self.in_doubt, depends_on)):
@@ -269,7 +269,7 @@ class ValidationErrors:
             reported += [error] if error not in reported else []
 
     def listed(self) -> list[str]:
-        """Return the errors with their places, as messages of what is in no file say them."""
+        """Return the errors with their places, as messages about what is not in a file say them."""
         every = ((place, error) for place, errors in self.found.items() for error in errors)
         return [f"{dotted(place)}: {error}" if place else error for place, error in every]
 
@@ -298,7 +298,7 @@ def in_folder(folder: Path, path: str) -> Path:
         path = os.fsdecode(path.encode("utf-8", "surrogateescape"))
     try:
         return (folder / path).resolve()
-    except ValueError:  # no file can be called so: it is told where it is looked for
+    except ValueError:  # a file cannot have this name: reported where the file is opened
         return folder / path
 
 
@@ -355,7 +355,7 @@ def write(value: Any, *, in_short: bool = False) -> Any:
 
 
 def _entries(value: Any, *, in_short: bool) -> Iterator[tuple[str, Any]]:
-    """Yield what an object holds, by its keys, as far as a file can say it; in short: and has to."""
+    """Yield the values of an object by their keys, as far as a file can say them; in short: and has to."""
     for key, declared in declared_fields(type(value)).items():
         held = declared.of(value)
         if in_short and not declared.is_required and _equal(held, declared.default()):
@@ -391,7 +391,7 @@ ChangeName = Callable[[SettingInfo, str], str]
 
 
 def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = SettingInfo("")) -> Any:  # noqa: B008
-    """Return what a file says of a type, which nobody has checked, with each name of a file or plant changed.
+    """Return unchecked values of a type from a file, with each name of a file or plant changed.
 
     Parameters
     ----------
@@ -522,7 +522,7 @@ class _Reader:
         self.complete()
 
     def complete(self) -> None:
-        """Have fields without a value that no file says, such as an excitation's samples, be None."""
+        """Set fields without a value that files cannot say to None, such as an excitation's samples."""
         for _, section, _ in self._read:
             for declared in dataclasses.fields(section):
                 info = setting_of(declared)
@@ -645,7 +645,7 @@ class _Reader:
     def _each(
         self, kind: Any, entries: Sequence[tuple[Any, Any, Any]], info: SettingInfo, place: Place
     ) -> Any:
-        """Return the values of a list's or a table's entries, of which each has a key and a type."""
+        """Return the values of a list's or a table's entries, each of which has a key and a type."""
         values, wrong = dict[Any, Any](), list[_Fault]()
         for key, hint, item in entries:
             try:
@@ -725,7 +725,7 @@ def _checked(check: Callable[[Any], Any], value: Any, place: Place) -> Any:
 
 
 def _at_each_place(faults: Iterable[_Fault]) -> dict[Place, str]:
-    """Return the first that is wrong with each place."""
+    """Return the first error of each place."""
     errors: dict[Place, str] = {}
     for fault in faults:
         errors.setdefault(fault.place, fault.error)

@@ -202,7 +202,7 @@ _MEANT = {
 
 
 def _naming_keywords(function: Callable[P, T]) -> Callable[P, T]:
-    """Have an unknown keyword told with the one that may be meant."""
+    """Report an unknown keyword with the one that may be meant."""
     allowed = signature(function).parameters
     meant = {word: keyword for keyword, words in _MEANT.items() for word in words}
 

@@ -90,14 +90,14 @@ def suggest_study(
         Whether to run each proposed controller once, to leave out those that fail, and to move setpoints to
         what can be reached.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
     sandbox : bool
         Whether that process is in a sandbox.
 
     Raises
     ------
     ConfigError
-        The FMU has no such signals, or none to drive or to control, or does not allow what is asked for.
+        Signals asked for, or any to drive or to control, are missing, or what is asked for is not allowed.
     CosimError
         It cannot be loaded, or does not run.
     """
@@ -188,7 +188,7 @@ def _relative(fmu: Path, folder: Path) -> str:
 
 
 def _runnable(path: Path) -> tuple[PlantDescription, StepSizes]:
-    """Return what an FMU of which nothing is known that would prevent it from running is, and its steps."""
+    """Return the description of an FMU that nothing is known to keep from running, and its steps."""
     inspection = inspect_fmu(path)
     if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)

@@ -77,7 +77,7 @@ class System:
     def refine(self, open_plant: Callable[..., Any], point: TriedPoint, sampling_time: float) -> bool:
         """Have values exchanged so often that twice as often makes no difference; return whether that is new.
 
-        Too seldom, a stable system can look like one that is not: how it responds is no guide.
+        Where values are exchanged too seldom, a stable system can look unstable: its responses say nothing.
 
         Parameters
         ----------

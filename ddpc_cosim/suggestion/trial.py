@@ -39,7 +39,7 @@ _SHORTER = (0.1, 0.01)
 _GENTLER = ((0.1, 0.1), (0.0, 1.0), (1.0, 0.0))  # shares of the way from rest to the limits, down and up
 _KEPT_FREE = 0.1  # of the span that was reached, at either end of it
 _SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
-_STUCK = 0.2  # of that end with an input at its limits, from which on there is no more to be had
+_STUCK = 0.2  # of that end with an input at its limits: from there on the input cannot do more
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
@@ -73,7 +73,7 @@ class _Attempt:
 
     @property
     def left(self) -> dict[str, float]:
-        """What is left of a step at worst [%], by label; without controllers of which that is not known."""
+        """What is left of a step at worst [%], by label; without controllers for which that is unknown."""
         shares = {case.label: case.left for case in self.cases}
         return {label: share for label, share in shares.items() if not math.isnan(share)}
 
@@ -105,7 +105,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     deadline : float
         When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
     sandboxed : bool
         Whether they run in a sandbox.
 

@@ -248,7 +248,7 @@ def comments(
             "`ddpc-cosim list controllers` shows what else can compete, `docs/methods.md` what it does.",
         ),
     }
-    there = "controllers" if about.unstable else "recording"  # why there is none stands in the next section
+    there = "controllers" if about.unstable else "recording"  # without a recording the next section says why
     return by_section | {there: (*_on_recording(about), *by_section[there])}
 
 

@@ -2,7 +2,7 @@
 
 A trial's runs are cases in the folder of results, which no trial of the same settings runs again, and what is
 tried next follows from the trials before alone. A tuning that was interrupted goes on by going through its
-trials once more; there is no other record of it that could contradict the cases.
+trials once more; no other record of it exists that could contradict the cases.
 """
 
 import json
@@ -61,7 +61,7 @@ class Request:
     Parameters
     ----------
     objectives : tuple of Objective
-        What trials are compared by; the first chooses among those that none is better than in all.
+        What trials are compared by; the first chooses among the trials that are not dominated.
     trials : int
         How many settings each controller is tried with, those of the study included.
     seeds : list of int
@@ -326,7 +326,7 @@ class _Tuning:
     def go_on(self, trials: int) -> Generator[list[Case], list[CaseResult], None]:
         """Go through so many trials: yield what is to be run next, and be sent its results.
 
-        A trial is pruned between its runs, of which those that trials failed most often come first.
+        A trial is pruned between its runs, with the runs first that trials failed most often.
         """
         search, objectives = self.search, self._request.objectives
         for _ in range(trials):
@@ -393,7 +393,7 @@ def _run_all(
     progress: TuningProgress,
     judge: Callable[[Sequence[Case], Sequence[Path]], list[CaseResult]],
 ) -> list[float]:
-    """Run what all tunings want next until none wants more; return how long the runs took."""
+    """Run what all tunings want next until all are done; return how long the runs took."""
     times = list[float]()
     due = {tuning: next(tuning) for tuning in tunings}
     while due:

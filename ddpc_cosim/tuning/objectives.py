@@ -54,7 +54,7 @@ class Objective:
         Raises
         ------
         ConfigError
-            There is no such metric, or runs are not summed up so.
+            The metric does not exist, or runs are not summed up so.
         """
         key, _, over = text.partition(":")
         name, signal, _ = split_key(key)
@@ -77,7 +77,7 @@ class Objective:
         )
 
     def check(self, resolved: ResolvedStudy) -> None:
-        """Raise a ConfigError if a problem has no such figure."""
+        """Raise a ConfigError if a problem does not have such a figure."""
         if self.metric == PREDICTION:
             return
         metric = all_metrics()[self.metric]
@@ -99,7 +99,7 @@ class Objective:
         return not self.signal and metric.of is Response and metric.unit == "difference"
 
     def of(self, runs: Mapping[Run, float]) -> float:
-        """Return the figure of a trial, the lower the better; infinite where too many runs have none.
+        """Return the figure of a trial, the lower the better; infinite where too many runs do not have one.
 
         Parameters
         ----------
@@ -117,13 +117,13 @@ class Objective:
             return fmean(fmean(of_scenario) for of_scenario in values.values())
         if self.over == "median":
             return fmean(float(np.median(of_scenario)) for of_scenario in values.values())
-        share = float(self.over)  # of infinite values there is no interpolation
+        share = float(self.over)  # infinite values cannot be interpolated
         return fmean(
             float(np.quantile(of_scenario, share, method="higher")) for of_scenario in values.values()
         )
 
     def of_run(self, case: CaseResult, spans: Mapping[str, float]) -> float:
-        """Return the figure of a run, the lower the better; infinite where there is none."""
+        """Return the figure of a run, the lower the better; infinite where it does not exist."""
         if case.outcome is not Outcome.COMPLETED:
             return math.inf
         if self.metric == PREDICTION:
@@ -140,7 +140,7 @@ class Objective:
         return _or_infinite(metric.rank(fmean(wanted.values()))) if wanted else math.inf
 
     def failed(self, case: CaseResult) -> bool:
-        """Whether a run failed; where predictions alone count, whether there is none."""
+        """Whether a run failed; where predictions alone count, whether they are missing."""
         if self.metric == PREDICTION:
             return not math.isfinite(self.of_run(case, {}))
         return case.failed

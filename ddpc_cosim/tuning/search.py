@@ -43,7 +43,7 @@ class Figures(NamedTuple):
     Parameters
     ----------
     failed : bool
-        Whether it failed; of a prediction, whether there is none.
+        Whether it failed; of a prediction, whether it is missing.
     values : tuple of float
         Of each objective, the lower the better.
     """
@@ -191,7 +191,7 @@ class SettingsSearch:
                 )
                 self._optuna.add_trial(trial_as_given)
         else:
-            # Told as pruned, any trial would count as worse than every whole one, the poorest among them.
+            # Reported as pruned, any trial would count as worse than every whole one, the poorest among them.
             self._optuna.tell(self._asked, self._expected(runs).penalised if pruned else trial.penalised)
         self._lost.update(run for run, figures in runs.items() if figures.failed)
         for run, figures in runs.items():
@@ -209,7 +209,7 @@ class SettingsSearch:
     def _expected(self, runs: Mapping[Run, Figures]) -> Trial:
         """Return what a trial is if in the runs left it is as much worse than the best as so far.
 
-        Of these as many fail as of other trials: those that fail most come first, and tell nothing of others.
+        Of these as many fail as of other trials: the first runs fail most, and say nothing about later ones.
         """
         behind = [map(_behind, figures.values, self._best_yet[run].values) for run, figures in runs.items()]
         worse = [fmean(values) for values in zip(*behind, strict=True)]
@@ -236,14 +236,14 @@ class SettingsSearch:
         return settings_at_ends
 
     def _params(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return settings as a point of the spaces; empty if it is none of theirs."""
+        """Return settings as a point of the spaces; empty if they do not lie in them."""
         params: dict[str, Any] = {}
         for setting, space in self.spaces.items():
             value = _param(space, settings[setting], _entry(self.given, setting))
             if value is None or (not isinstance(space, Choice) and not space.low <= value <= space.high):
                 return {}
             params[setting] = value
-        # What else differs from the study makes it another controller, of which the point tells nothing.
+        # With other differences from the study it is another controller: the point says nothing about it.
         return params if settings.keys() <= params.keys() else {}
 
 
@@ -268,7 +268,7 @@ def _value(space: Search, param: Any, given: Any) -> Any:
 
 
 def _param(space: Search, value: Any, given: Any) -> Any:
-    """Return the parameter of a value, as :func:`_value` makes it; None if it has none."""
+    """Return the parameter of a value, as :func:`_value` makes it; None if it does not have one."""
     if isinstance(space, Choice):
         return list(space.values).index(value) if value in space.values else None
     if isinstance(space, Factor):
@@ -281,7 +281,7 @@ def _param(space: Search, value: Any, given: Any) -> Any:
 
 
 def _behind(value: float, best: float) -> float:
-    """Return by how much a value is worse than the best; where nobody has one yet, it is as good as that."""
+    """Return by how much a value is worse than the best; without a best one yet, by nothing."""
     if not math.isfinite(value):
         return math.inf
     return value - best if math.isfinite(best) else 0.0
@@ -372,7 +372,7 @@ def _predicts(info: SettingInfo, settings: Mapping[str, Any]) -> bool:
 
 
 def _has_no_multiple(space: Search, value: Any) -> bool:
-    """Whether multiples of a value are none: it is zero, or not a number."""
+    """Whether a value does not have multiples: it is zero, or not a number."""
     numbers = isinstance(value, int | float) and not isinstance(value, bool) and value
     is_list = (
         isinstance(value, list) and bool(value) and any(not _has_no_multiple(space, item) for item in value)

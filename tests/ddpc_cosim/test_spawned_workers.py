@@ -219,7 +219,7 @@ def test_which_cases_leave_nothing_behind(tmp_path: Path, write_failing: WriteSt
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "own"),
+    ("kind", "name", "is_local"),
     [
         ("controllers", "deepc", True),
         ("controllers", "ddpc_controllers:Polynomials", True),
