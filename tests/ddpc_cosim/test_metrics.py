@@ -292,7 +292,7 @@ def test_what_drifts_before_its_controller_knows_of_the_step_does_not_anticipate
 
 
 def test_what_a_run_is_judged_by_is_taken_at_the_end_of_each_stretch() -> None:
-    """Of 20 rows the last 4; the first stretch begins where the output is, and is no step to settle after."""
+    """Of 20 rows the last 4; the first stretch begins where the output is: not a step to settle after."""
     y = np.repeat([0.0, 0.51, 2.0], 20)
     y[30] = 4.0
     (tracking,) = stepping(0, 1, 2, y=y).tracking()

@@ -285,7 +285,7 @@ class Silent:
     def finished(self, case: Case, result: CaseResult) -> None: ...
 
 
-# A socket or process of which nobody knows yet goes with a warning, and with it what is at the other end; so
+# A socket or process that is not registered yet goes with a warning, and with it what is at the other end; so
 # does what was half made.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

@@ -149,7 +149,7 @@ def test_every_system_call_of_the_kernel(called: Ask, writable: Path) -> None:
 
 
 def test_what_is_open_for_reading_stays_as_it_is(called: Ask, readable: Path) -> None:
-    """Its mode, owner, attributes and flags; and nobody is kept from writing to it."""
+    """Its mode, owner, attributes and flags; and writing to it is not blocked for others."""
     before = [path.stat() for path in (readable, readable.parent)]
     opened = f"(os := __import__('os')).open({str(readable)!r}, os.O_RDONLY)"
     folder = f"(os := __import__('os')).open({str(readable.parent)!r}, os.O_RDONLY)"

@@ -1,4 +1,4 @@
-"""`init` hands out what it has run: what fails is left out, what nobody reaches is moved or told."""
+"""`init` hands out what it has run: what fails is left out, what is never reached is moved or reported."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""A claim of a study's source holds where it is so on every seed, and is judged only where nobody failed."""
+"""A claim of a study's source holds where it is so on every seed, judged only where no controller failed."""
 
 from pathlib import Path
 from typing import Any

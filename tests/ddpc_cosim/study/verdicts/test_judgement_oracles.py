@@ -1,6 +1,6 @@
 """Who is perfect never fails and always settles, whatever acts on the plant; who is clearly bad fails.
 
-The perfect controllers know the plant: what they leave is what nobody can know one sample ahead.
+The perfect controllers know the plant: what they leave is what cannot be known one sample ahead.
 """
 
 import math
