@@ -188,9 +188,7 @@ def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, s
             attempt.cases = load_cases(folder, WholeStudy.of(resolved.study), ids).cases
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
-        attempt.line = next(
-            (scenario_remark.text for scenario_remark in scenario_remarks(resolved.study, attempt.cases)), ""
-        )
+        attempt.line = next((remark.text for remark in scenario_remarks(resolved.study, attempt.cases)), "")
         attempt.surprises = [*_surprises(attempt.best_trace(), proposal, attempt.preview)]
         attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
     return attempt

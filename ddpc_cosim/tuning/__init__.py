@@ -216,9 +216,8 @@ def tune_study(
     runs_of_trials = request.trials * sum(in_full[search.problem, search.name] for search in searches)
     progress.start(runs_of_trials + len(at_rest), 0)
     run_missing(at_rest, folder, selection, progress)
-    resting = {
-        run_of(case): case for case in (load_case(folder / CASES_FOLDER / case.id) for case in at_rest)
-    }
+    runs_at_rest = (load_case(folder / CASES_FOLDER / case.id) for case in at_rest)
+    resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:
         scenarios = resolved.problems[cases[0].problem].study.scenarios

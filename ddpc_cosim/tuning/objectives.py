@@ -112,15 +112,13 @@ class Objective:
         if not values:
             return math.inf
         if self.over == "worst":
-            return max(max(of_scenario) for of_scenario in values.values())
+            return max(max(figures) for figures in values.values())
         if self.over == "mean":
-            return fmean(fmean(of_scenario) for of_scenario in values.values())
+            return fmean(fmean(figures) for figures in values.values())
         if self.over == "median":
-            return fmean(float(np.median(of_scenario)) for of_scenario in values.values())
+            return fmean(float(np.median(figures)) for figures in values.values())
         share = float(self.over)  # infinite values cannot be interpolated
-        return fmean(
-            float(np.quantile(of_scenario, share, method="higher")) for of_scenario in values.values()
-        )
+        return fmean(float(np.quantile(figures, share, method="higher")) for figures in values.values())
 
     def of_run(self, case: CaseResult, spans: Mapping[str, float]) -> float:
         """Return the figure of a run, the lower the better; infinite where it does not exist."""

@@ -395,10 +395,8 @@ def space_faults(section: ControllerSection, spaces: Mapping[str, Search]) -> It
                     section.type, with_settings(section.settings, {name: _value(space, param, given)})
                 )
             except SettingsError as error:
-                faults_here = [
-                    fault for place, fault in error.found if place and place[0] == name.partition(".")[0]
-                ]
-                faults |= dict.fromkeys(faults_here)
+                key = name.partition(".")[0]
+                faults |= dict.fromkeys(fault for place, fault in error.found if place[:1] == (key,))
         yield from (f"{name}: {fault}" for fault in faults)
 
 
