@@ -98,7 +98,7 @@ class Kinds:
     default: str = ""
 
     def meant_by(self, table: Any) -> Sequence[type[Any]]:
-        """Return the class that a table says it is of; all of them where it says none, as a part of one."""
+        """Return the class that a table names; all of them where it names none, as a part of a table does."""
         name = table.get(KIND) if isinstance(table, dict) else None
         return [kind for known, kind in self.classes.items() if name in (None, known)]
 
@@ -159,7 +159,7 @@ class DeclaredField(NamedTuple):
     info : SettingInfo
         What :func:`ddpc_cosim.setting` declares.
     is_required : bool
-        Whether it has no default.
+        Whether a file has to say it.
     default : callable
         Makes its default.
     within : str
@@ -196,17 +196,19 @@ def declared_fields(kind: Any) -> Mapping[str, DeclaredField]:
 @cache
 def _declared_fields(kind: Any) -> Mapping[str, DeclaredField]:
     hints = get_type_hints(kind, include_extras=True)
-    found = {}
-    for one in dataclasses.fields(kind):
-        info = setting_of(one)
+    declared = {}
+    for attribute in dataclasses.fields(kind):
+        info = setting_of(attribute)
         if info is not None and info.key is not None:
-            factory: Any = partial(_itself, one.default)
-            if one.default_factory is not dataclasses.MISSING:
-                factory = one.default_factory
-            required = info.required or one.default is one.default_factory is dataclasses.MISSING
-            hint = info.written or hints[one.name]
-            found[info.key or one.name] = DeclaredField(one.name, hint, info, required, factory)
-    return found
+            factory: Any = partial(_itself, attribute.default)
+            if attribute.default_factory is not dataclasses.MISSING:
+                factory = attribute.default_factory
+            required = info.required or attribute.default is attribute.default_factory is dataclasses.MISSING
+            hint = info.written or hints[attribute.name]
+            declared[info.key or attribute.name] = DeclaredField(
+                attribute.name, hint, info, required, factory
+            )
+    return declared
 
 
 def known_keys(kind: Any) -> tuple[str, ...]:
@@ -259,7 +261,7 @@ class ValidationErrors:
         error : str
             What is wrong and what to do.
         *depends_on : tuple
-            Other places that it depends on: if one is in doubt, nothing is known here.
+            Other places that it depends on: if one is in doubt, the error is not reported.
         """
         within_doubt = any(place[:n] in self._doubtful for n in range(len(place) + 1))
         if not within_doubt and not any(map(self.in_doubt, depends_on)):
@@ -267,8 +269,8 @@ class ValidationErrors:
             reported += [error] if error not in reported else []
 
     def listed(self) -> list[str]:
-        """Return the errors with their places, as messages of what is in no file say them."""
-        every = ((place, error) for place, found in self.found.items() for error in found)
+        """Return the errors with their places, as messages about what is not in a file say them."""
+        every = ((place, error) for place, errors in self.found.items() for error in errors)
         return [f"{dotted(place)}: {error}" if place else error for place, error in every]
 
     def doubt(self, place: Place) -> None:
@@ -296,7 +298,7 @@ def in_folder(folder: Path, path: str) -> Path:
         path = os.fsdecode(path.encode("utf-8", "surrogateescape"))
     try:
         return (folder / path).resolve()
-    except ValueError:  # no file can be called so: it is told where it is looked for
+    except ValueError:  # a file cannot have this name: reported where the file is opened
         return folder / path
 
 
@@ -353,14 +355,14 @@ def write(value: Any, *, in_short: bool = False) -> Any:
 
 
 def _entries(value: Any, *, in_short: bool) -> Iterator[tuple[str, Any]]:
-    """Yield what an object holds, by its keys, as far as a file can say it; in short: and has to."""
-    for key, one in declared_fields(type(value)).items():
-        held = one.of(value)
-        if in_short and not one.is_required and _equal(held, one.default()):
+    """Yield the values of an object by their keys, as far as a file can say them; in short: and has to."""
+    for key, declared in declared_fields(type(value)).items():
+        held = declared.of(value)
+        if in_short and not declared.is_required and _equal(held, declared.default()):
             continue
-        if one.within and held == one.default():
+        if declared.within and held == declared.default():
             continue  # what is not installed elsewhere is not named there
-        is_unsaid = isinstance(held, float) and math.isinf(held) and not one.info.infinite
+        is_unsaid = isinstance(held, float) and math.isinf(held) and not declared.info.infinite
         if held is not None and not is_unsaid:
             yield key, held
 
@@ -389,7 +391,7 @@ ChangeName = Callable[[SettingInfo, str], str]
 
 
 def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = SettingInfo("")) -> Any:  # noqa: B008
-    """Return what a file says of a type, which nobody has checked, with each name of a file or plant changed.
+    """Return unchecked values of a type from a file, with each name of a file or plant changed.
 
     Parameters
     ----------
@@ -406,7 +408,7 @@ def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = Se
     if isinstance(value, str):
         return change(info, value) if info.file or info.plant else value
     if origin is Annotated:
-        kinds = next((one for one in arguments if isinstance(one, Kinds)), None)
+        kinds = next((argument for argument in arguments if isinstance(argument, Kinds)), None)
         if kinds and isinstance(value, list):
             return [with_names(hint, item, change, info) for item in value]
         for kind in kinds.meant_by(value) if kinds else arguments[:1]:
@@ -418,8 +420,8 @@ def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = Se
     if not isinstance(value, dict):
         return value
     if origin in (Union, UnionType):
-        for one in arguments:
-            value = with_names(one, value, change, info)
+        for argument in arguments:
+            value = with_names(argument, value, change, info)
     elif origin in (list, Sequence):  # one table for several, or entries by their numbers
         if not all(map(str.isdecimal, value)):
             return with_names(arguments[0], value, change, info)
@@ -469,11 +471,11 @@ class _Reader:
         fields = declared_fields(kind)
         known = known_keys(kind)
         unknown = [key for key in table if key not in known]
-        missing = [key for key, one in fields.items() if one.is_required and key not in table]
+        missing = [key for key, declared in fields.items() if declared.is_required and key not in table]
         meant = [near for key in unknown if (near := nearest(key, known)) and near not in table]
-        found = {(*place, key): f"unknown key; {_hint(kind, key)}" for key in unknown}
-        found |= {(*place, key): "required key is missing" for key in missing if key not in meant}
-        for at, error in found.items():
+        faults = {(*place, key): f"unknown key; {_hint(kind, key)}" for key in unknown}
+        faults |= {(*place, key): "required key is missing" for key in missing if key not in meant}
+        for at, error in faults.items():
             self._errors.add(at, error)
         doubtful = {*missing, *meant}
         for key in doubtful:
@@ -489,19 +491,19 @@ class _Reader:
                 object.__setattr__(section, other.name, other.default_factory())
         number = len(self._read)
         self._read.append((place, section, False))
-        is_sound = not found
-        for key, one in fields.items():
+        is_sound = not faults
+        for key, declared in fields.items():
             if key in doubtful:
                 continue
             if key not in table:
-                one.put(section, one.default())
+                declared.put(section, declared.default())
                 continue
-            value, is_valid = self._field(one, table[key], (*place, key))
+            value, is_valid = self._field(declared, table[key], (*place, key))
             is_sound = is_sound and is_valid
             if value is _MISSING:
                 doubtful.add(key)
             else:
-                one.put(section, value)
+                declared.put(section, value)
         if not is_sound:
             object.__setattr__(section, "has_faults", True)
         self._read[number] = (place, section, bool(doubtful) or not is_sound)
@@ -514,13 +516,13 @@ class _Reader:
                 for key, error in _contradictions(section):
                     self._errors.add((*place, key) if key else place, error)
             if is_doubtful:
-                for one in declared_fields(type(section)).values():
-                    if not (one.is_required or _is_set(partial(one.of, section))):
-                        one.put(section, one.default())
+                for entry in declared_fields(type(section)).values():
+                    if not (entry.is_required or _is_set(partial(entry.of, section))):
+                        entry.put(section, entry.default())
         self.complete()
 
     def complete(self) -> None:
-        """Have fields without a value that no file says, such as an excitation's samples, be None."""
+        """Set fields without a value that files cannot say to None, such as an excitation's samples."""
         for _, section, _ in self._read:
             for declared in dataclasses.fields(section):
                 info = setting_of(declared)
@@ -528,10 +530,10 @@ class _Reader:
                 if not (is_said or _is_set(partial(getattr, section, declared.name))):
                     object.__setattr__(section, declared.name, None)
 
-    def _field(self, one: DeclaredField, value: Any, place: Place) -> tuple[Any, bool]:
+    def _field(self, declared: DeclaredField, value: Any, place: Place) -> tuple[Any, bool]:
         """Return what is sound of a field's value, and whether all of it is; what is not is reported."""
         try:
-            return self.value(one.hint, one.info, value, place), True
+            return self.value(declared.hint, declared.info, value, place), True
         except _WrongValueError as error:
             wrong = error.faults
         for at, message in _at_each_place(wrong).items():
@@ -541,7 +543,7 @@ class _Reader:
             if sound is not _MISSING:
                 for fault in wrong:
                     self._errors.doubt(fault.place[: len(place) + 1])
-                return self.value(one.hint, one.info, sound, place), False
+                return self.value(declared.hint, declared.info, sound, place), False
         self._errors.doubt(place)
         return _MISSING, False
 
@@ -575,9 +577,9 @@ class _Reader:
         self, hint: Any, metadata: Sequence[Any], info: SettingInfo, value: Any, place: Place
     ) -> Any:
         said = value
-        for one in metadata:
-            if isinstance(one, Prepared):
-                value = _checked(one.prepare, value, place)
+        for note in metadata:
+            if isinstance(note, Prepared):
+                value = _checked(note.prepare, value, place)
         try:
             return self._prepared(hint, metadata, info, value, place)
         except _WrongValueError as error:
@@ -590,15 +592,15 @@ class _Reader:
     def _prepared(
         self, hint: Any, metadata: Sequence[Any], info: SettingInfo, value: Any, place: Place
     ) -> Any:
-        for one in metadata:
-            if isinstance(one, Kinds):
-                return self.section(_kind_of(one, value, place), value, place)
+        for note in metadata:
+            if isinstance(note, Kinds):
+                return self.section(_kind_of(note, value, place), value, place)
         value = self.value(hint, info, value, place)
-        for one in metadata:
-            if isinstance(one, Size) and (error := one.error(value)):
+        for note in metadata:
+            if isinstance(note, Size) and (error := note.error(value)):
                 raise _WrongValueError(_Fault(place, error))
-            if isinstance(one, Rule):
-                value = _checked(one.check, value, place)
+            if isinstance(note, Rule):
+                value = _checked(note.check, value, place)
         return value
 
     def _of_union(self, hints: Sequence[Any], info: SettingInfo, value: Any, place: Place) -> Any:
@@ -643,16 +645,16 @@ class _Reader:
     def _each(
         self, kind: Any, entries: Sequence[tuple[Any, Any, Any]], info: SettingInfo, place: Place
     ) -> Any:
-        """Return the values of a list's or a table's entries, of which each has a key and a type."""
-        found, wrong = dict[Any, Any](), list[_Fault]()
+        """Return the values of a list's or a table's entries, each of which has a key and a type."""
+        values, wrong = dict[Any, Any](), list[_Fault]()
         for key, hint, item in entries:
             try:
-                found[key] = self.value(hint, info, item, (*place, key))
+                values[key] = self.value(hint, info, item, (*place, key))
             except _WrongValueError as error:
                 wrong += error.faults
         if wrong:
             raise _WrongValueError(*wrong)
-        return found if kind is dict else kind(found.values())
+        return values if kind is dict else kind(values.values())
 
     def _scalar(self, hint: Any, info: SettingInfo, value: Any, place: Place) -> Any:
         kind = int if hint is float and isinstance(value, int) else hint
@@ -723,11 +725,11 @@ def _checked(check: Callable[[Any], Any], value: Any, place: Place) -> Any:
 
 
 def _at_each_place(faults: Iterable[_Fault]) -> dict[Place, str]:
-    """Return the first that is wrong with each place."""
-    found: dict[Place, str] = {}
+    """Return the first error of each place."""
+    errors: dict[Place, str] = {}
     for fault in faults:
-        found.setdefault(fault.place, fault.error)
-    return found
+        errors.setdefault(fault.place, fault.error)
+    return errors
 
 
 def _without(value: Any, faults: Sequence[_Fault], place: Place) -> Any:

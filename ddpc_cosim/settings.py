@@ -202,7 +202,7 @@ _MEANT = {
 
 
 def _naming_keywords(function: Callable[P, T]) -> Callable[P, T]:
-    """Have an unknown keyword told with the one that may be meant."""
+    """Report an unknown keyword with the one that may be meant."""
     allowed = signature(function).parameters
     meant = {word: keyword for keyword, words in _MEANT.items() for word in words}
 
@@ -292,17 +292,17 @@ def check_settings(plugin: Any) -> None:
     SettingsError
         Every setting that has an impossible value: its name, the value and what is allowed.
     """
-    found: list[tuple[Place, str]] = []
+    faults: list[tuple[Place, str]] = []
     for field in dataclasses.fields(plugin):
         info = field.metadata.get("setting")
         value = getattr(plugin, field.name)
         if info is not None and not _is_possible(value, field.type, info):
             allowed = ", ".join(filter(None, (_type_words(field.type), info.allowed)))
             hint = instead_of(type(plugin), f"{field.name} = {value}")
-            found.append(((field.name,), f"{value!r} is not possible; {hint or f'allowed: {allowed}'}"))
-    if found:
+            faults.append(((field.name,), f"{value!r} is not possible; {hint or f'allowed: {allowed}'}"))
+    if faults:
         who = type(plugin).__name__
-        raise SettingsError(found, [f"{who}: {name} = {fault}" for (name,), fault in found])
+        raise SettingsError(faults, [f"{who}: {name} = {fault}" for (name,), fault in faults])
 
 
 def to_plain(value: Any) -> Any:
@@ -516,26 +516,26 @@ def _mapped(
 
 def files_of(plugin: type[Any], settings: Mapping[str, Any]) -> list[str]:
     """Return the paths that the plain settings of a plug-in class name, ``PLANT`` among them."""
-    found: list[str] = []
+    paths: list[str] = []
 
     def note(path: str) -> str:
-        found.append(path)
+        paths.append(path)
         return path
 
     map_files(plugin, settings, note)
-    return found
+    return paths
 
 
 def plants_of(plugin: type[Any], settings: Mapping[str, Any]) -> list[str]:
     """Return the plants that the plain settings of a plug-in class name; an empty one is the study's own."""
-    found: list[str] = []
+    plants: list[str] = []
 
     def note(name: str) -> str:
-        found.append(name)
+        plants.append(name)
         return name
 
     map_plants(plugin, settings, note)
-    return found
+    return plants
 
 
 def hash_of_file(path: str) -> str:

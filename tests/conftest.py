@@ -73,9 +73,9 @@ def pendulum_fmu(own_cache_folder: None) -> Path:
 @pytest.fixture(scope="session")
 def program() -> str:
     """The installed command."""
-    found = shutil.which("ddpc-cosim", path=str(Path(sys.executable).parent))
-    assert found, "ddpc-cosim is not installed beside this Python"
-    return found
+    installed = shutil.which("ddpc-cosim", path=str(Path(sys.executable).parent))
+    assert installed, "ddpc-cosim is not installed beside this Python"
+    return installed
 
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

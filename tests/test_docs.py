@@ -151,7 +151,7 @@ def test_extras_are_installed_from_a_checkout_and_are_those_that_there_are() -> 
     assert [path for path, text in texts.items() if "ddpc-cosim[" in text] == []
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = re.compile(r"""pip install ["']\.\[(\w+)\]|uv sync --extra (\w+)|how_to_install\(["'](\w+)""")
-    extras = {name for text in texts.values() for found in named.findall(text) for name in found if name}
+    extras = {name for text in texts.values() for names in named.findall(text) for name in names if name}
     assert extras <= project["optional-dependencies"].keys()
     assert {"nmpc", "tune", "parquet", "cluster", "zig"} <= extras
 

@@ -24,10 +24,12 @@ class Scratch:
         builder = venv.EnvBuilder(with_pip=True)
         builder.create(folder)
         self.python = builder.ensure_directories(folder).env_exe
-        own = sysconfig.get_path("purelib", "venv", vars={"base": str(folder), "platbase": str(folder)})
+        site_packages = sysconfig.get_path(
+            "purelib", "venv", vars={"base": str(folder), "platbase": str(folder)}
+        )
         # Not a plain path: the .pth files there, of packages installed to be edited, must be read too.
         seen = f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n"
-        (Path(own) / "parent.pth").write_text(seen, encoding="utf-8")
+        (Path(site_packages) / "parent.pth").write_text(seen, encoding="utf-8")
 
     def run(self, *arguments: str, folder: Path) -> str:
         done = subprocess.run(

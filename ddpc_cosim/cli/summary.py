@@ -113,17 +113,17 @@ def _set(
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
     """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
     try:
-        found = overall_findings((problem.study, problem.cases) for problem in problems)
+        findings = overall_findings((problem.study, problem.cases) for problem in problems)
     except ConfigError:  # no run is shared by all
         return None
-    if found is None:
+    if findings is None:
         return None
-    ranks, cases = found.ranks, found.cases
+    ranks, cases = findings.ranks, findings.cases
     rows = [_Row(cases[name][0].label, cases[name]) for name in ranks.ranks]
     average = _Column(
         Heading("average rank"), "", "", lambda cases: Cell(f"{ranks.ranks[cases[0].controller]:.3g}")
     )
-    of_problems = zip(problems, found.standings, strict=True)
+    of_problems = zip(problems, findings.standings, strict=True)
     columns = [
         average,
         *(_problem_column(problem.study.name, ranking) for problem, ranking in of_problems if ranking.order),

@@ -45,8 +45,8 @@ _SHOWN = ("rate_limit", "delay", "quantum", "loss")
 @cache
 def all_conditions() -> Mapping[str, type[Condition]]:
     """Return what actuators and sensors may do, by name, in the order of effects."""
-    found = {plugin.name: plugin.value for plugin in installed("conditions") if not _fault(plugin)}
-    return {name: found[name] for name in sorted(found, key=lambda name: (found[name].order, name))}
+    kinds = {plugin.name: plugin.value for plugin in installed("conditions") if not _fault(plugin)}
+    return {name: kinds[name] for name in sorted(kinds, key=lambda name: (kinds[name].order, name))}
 
 
 def describe_condition(plugin: Plugin) -> tuple[str, bool]:
@@ -284,7 +284,7 @@ class Actuators:
     def start(self, time: FloatArray, *, in_experiment: bool, continues: bool) -> None:
         """Draw the signals of a run at its times [s], shape (K,), which starts from rest or continues one."""
         conditions, seed = self._conditions, self._seed
-        self._acting = [one for one in self._effects if one.in_experiments or not in_experiment]
+        self._acting = [effect for effect in self._effects if effect.in_experiments or not in_experiment]
         for effect in self._acting:
             effect.start(time, None if continues and effect.in_experiments else self._rest)
         stream, signals = _SIGNALS, conditions.inputs
@@ -351,13 +351,13 @@ class Sensors:
         conditions, seed = self._conditions, self._seed
         if not continues:
             self._seen = np.empty(0)
-        acting = [one for one in self._effects if one.in_experiments or not in_experiment]
+        acting = [effect for effect in self._effects if effect.in_experiments or not in_experiment]
         for effect in acting:
             unknown = np.full(len(self._names), np.nan)
             effect.start(time, None if continues and effect.in_experiments else unknown)
-        self._before_noise = [one for one in acting if one.order < 0]
-        self._after_noise = [one for one in acting if one.order >= 0]
-        self._loses = any(one.loses for one in acting)
+        self._before_noise = [effect for effect in acting if effect.order < 0]
+        self._after_noise = [effect for effect in acting if effect.order >= 0]
+        self._loses = any(effect.loses for effect in acting)
         self._added = None if in_experiment else _disturbances(conditions, self._outputs, time, seed)
         self._holds = holds
 
@@ -419,7 +419,7 @@ def _sums(
         name = variable.name
         for number, part in enumerate(_parts(given.get(name, ()))):
             part = in_unit_of(variable, part, difference=what == "disturbances")
-            own = np.random.SeedSequence([*seed, number, *name.encode()]).generate_state(1, np.uint64)
-            values = values_at(part.with_seed(int(own[0])), f"{what} of {name}", time)
+            own_seed = np.random.SeedSequence([*seed, number, *name.encode()]).generate_state(1, np.uint64)
+            values = values_at(part.with_seed(int(own_seed[0])), f"{what} of {name}", time)
             table[:, column] += values * _begun(part, time) if what == "disturbances" else values
     return table

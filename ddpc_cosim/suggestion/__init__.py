@@ -30,7 +30,7 @@ from ddpc_cosim.study.file_format.sections import (
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
-from ddpc_cosim.suggestion.operating_point import Found, TestedPlant, find, sampling_time_of
+from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
@@ -90,14 +90,14 @@ def suggest_study(
         Whether to run each proposed controller once, to leave out those that fail, and to move setpoints to
         what can be reached.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
     sandbox : bool
         Whether that process is in a sandbox.
 
     Raises
     ------
     ConfigError
-        The FMU has no such signals, or none to drive or to control, or does not allow what is asked for.
+        Signals asked for, or any to drive or to control, are missing, or what is asked for is not allowed.
     CosimError
         It cannot be loaded, or does not run.
     """
@@ -123,28 +123,28 @@ def suggest_study(
         step_timeout=min(step_timeout, timing.budget),
         sandbox=sandbox,
     )
-    found = find(open_plant, description, request, timing)
-    if system and found.choice.inputs:
-        sample = sampling_time_of(found.tested, found.choice, found.timing, found.request)
-        if system.refine(open_plant, found, sample):
+    point = find(open_plant, description, request, timing)
+    if system and point.choice.inputs:
+        sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
+        if system.refine(open_plant, point, sample):
             tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
-            found = find(open_plant, description, request, timing)
-    if not found.choice.inputs:
-        ends = zip(found.inputs, found.rest, found.rest + found.tested.steps, strict=True)
+            point = find(open_plant, description, request, timing)
+    if not point.choice.inputs:
+        ends = zip(point.inputs, point.rest, point.rest + point.tested.steps, strict=True)
         tried = ", ".join(f"{v.name} from {low:g} to {high:g}" for v, low, high in ends)
-        early = f"; a run ended early: {found.tested.fault}" if found.tested.fault else ""
+        early = f"; a run ended early: {point.tested.fault}" if point.tested.fault else ""
         raise CosimError(
             f"{path.name}: no output responds to a step of an input (tried: {tried}); --range tries more, "
             f"--at another operating point, --output other outputs{early}"
         )
-    check_identified(path.name, found)
-    sample = sampling_time_of(found.tested, found.choice, found.timing, found.request)
+    check_identified(path.name, point)
+    sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
     plant = system.section(sample) if system else PlantSection(fmu=str(path.resolve()))
     plant = replace(plant, parameters=request.parameters(description))
-    proposal = _propose(plant, found, sample, (*drives_too, *reads_too))
+    proposal = _propose(plant, point, sample, (*drives_too, *reads_too))
     if trial:
         proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
-    head = (*proposal.comments.get("head", ()), *found.remarks, *(system.remarks if system else ()))
+    head = (*proposal.comments.get("head", ()), *point.remarks, *(system.remarks if system else ()))
     return replace(proposal, comments={**proposal.comments, "head": head})
 
 
@@ -188,7 +188,7 @@ def _relative(fmu: Path, folder: Path) -> str:
 
 
 def _runnable(path: Path) -> tuple[PlantDescription, StepSizes]:
-    """Return what an FMU of which nothing is known that would prevent it from running is, and its steps."""
+    """Return the description of an FMU that nothing is known to keep from running, and its steps."""
     inspection = inspect_fmu(path)
     if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
@@ -233,18 +233,18 @@ def _timing(description: PlantDescription, request: Request) -> Timing:
     )
 
 
-def _propose(plant: PlantSection, found: Found, sample: float, left_out: Sequence[str]) -> Proposal:
+def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Sequence[str]) -> Proposal:
     """Return a proposal for a plant, of which only the signals and their sizes are left open."""
-    tested, choice, bounds, request = found.tested, found.choice, found.bounds, found.request
-    inputs = tuple(found.inputs[i] for i in choice.inputs)
-    outputs = tuple(found.outputs[j] for j in choice.outputs)
-    measurements = outputs + _also_measured(found.outputs, outputs, tested)
-    working = design.working_range(found.inputs, bounds).of(choice.inputs)
+    tested, choice, bounds, request = point.tested, point.choice, point.bounds, point.request
+    inputs = tuple(point.inputs[i] for i in choice.inputs)
+    outputs = tuple(point.outputs[j] for j in choice.outputs)
+    measurements = outputs + _also_measured(point.outputs, outputs, tested)
+    working = design.working_range(point.inputs, bounds).of(choice.inputs)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
-    references, duration = design.setpoints(tested, choice, found.outputs, working, sample, request)
+    references, duration = design.setpoints(tested, choice, point.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
-        references = design.near_rest(tested, choice, found.outputs, duration)
-    levels = zip(found.inputs, found.rest.tolist(), strict=True)
+        references = design.near_rest(tested, choice, point.outputs, duration)
+    levels = zip(point.inputs, point.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
     nominal = _sizes(inputs, working.size) | _sizes(
         outputs, np.minimum(_output_sizes(choice, working), design.limits(tested, choice))
@@ -258,13 +258,13 @@ def _propose(plant: PlantSection, found: Found, sample: float, left_out: Sequenc
     chosen = suggested_controllers(gains, may_record=not unstable)
     needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
     samples = max(_SAMPLES, 2 * needed)
-    circumstances = Circumstances(found.inputs, found.outputs, tested, choice, sample, unstable)
+    circumstances = Circumstances(point.inputs, point.outputs, tested, choice, sample, unstable)
     plant = replace(
         plant,
         inputs=[v.name for v in inputs],
         outputs=[v.name for v in outputs],
         measurements=[v.name for v in measurements],
-        start={**found.start, **moved},
+        start={**point.start, **moved},
         nominal=nominal,
     )
     excitation = {} if unstable else design.excitation(inputs, working, samples)
@@ -283,15 +283,15 @@ def _propose(plant: PlantSection, found: Found, sample: float, left_out: Sequenc
         outputs=outputs,
         measurements=measurements,
         origins={v.name: bounds[v.name].origin for v in inputs},
-        comments=comments(circumstances, left_out, found.warnings),
-        hints=tuple(hints(circumstances, found.room)),
+        comments=comments(circumstances, left_out, point.warnings),
+        hints=tuple(hints(circumstances, point.room)),
         gains=_settled_gains(tested, choice),
         rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
     )
 
 
-def check_identified(label: str, found: Found) -> None:
+def check_identified(label: str, point: TriedPoint) -> None:
     """Check that there is a gain for every output: controllers and setpoints are made from it.
 
     Raises
@@ -299,12 +299,12 @@ def check_identified(label: str, found: Found) -> None:
     CosimError
         An output that is asked for does not respond, or not in time.
     """
-    rows = zip(found.choice.outputs, found.choice.gains, strict=True)
-    unknown = [found.outputs[j].name for j, row in rows if not (row.any() and np.isfinite(row).all())]
+    rows = zip(point.choice.outputs, point.choice.gains, strict=True)
+    unknown = [point.outputs[j].name for j, row in rows if not (row.any() and np.isfinite(row).all())]
     if unknown:
         what = f"{label}: no response of {', '.join(unknown)} to a step of an input"
-        if found.tested.stopped or found.tested.fault:
-            why = f" ({found.tested.fault})" if found.tested.fault else ""
+        if point.tested.stopped or point.tested.fault:
+            why = f" ({point.tested.fault})" if point.tested.fault else ""
             raise CosimError(f"{what} was identified in time{why}; raise --budget, or leave it out")
         raise CosimError(f"{what}; leave it out, or try more with --range or at another point with --at")
 

@@ -59,7 +59,7 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     guessed = not np.isfinite(shown)
     time_scale = fallback if guessed else shown
     gains = lasting_gains(tested, time_scale)
-    if all_outputs:  # one of which nothing lasts has no other measure than its peaks
+    if all_outputs:  # where nothing lasts, peaks are the only measure
         gains = np.where(gains.any(axis=1, keepdims=True), gains, _peaks(tested))
     else:
         gains = _not_adrift(_urgent(gains, tested.responses), tested, room)

@@ -78,14 +78,14 @@ def _plain(name: str) -> str:
 
 def _bounds_by_name(variable: Variable, parameters: Mapping[str, Variable]) -> Bounds | None:
     """Return the limits that parameters named after an input may be, uMin and uMax of u; None for none."""
-    path, dot, own = variable.name.rpartition(".")
+    path, dot, last = variable.name.rpartition(".")
     ends, used = [variable.min, variable.max], []
     for side, word in enumerate(("min", "max")):
-        names = (_plain(f"{path}{dot}{name}") for name in (own + word, word + own))
-        found = next((parameters[name] for name in names if name in parameters), None)
-        if found and not math.isfinite(ends[side]) and found.unit in ("", variable.unit):
-            ends[side] = found.start
-            used.append(f"{found.name} = {found.start:g}")
+        names = (_plain(f"{path}{dot}{name}") for name in (last + word, word + last))
+        parameter = next((parameters[name] for name in names if name in parameters), None)
+        if parameter and not math.isfinite(ends[side]) and parameter.unit in ("", variable.unit):
+            ends[side] = parameter.start
+            used.append(f"{parameter.name} = {parameter.start:g}")
     low, high = ends
     # Where one end is known, there may be as much room to the other side.
     low = low if math.isfinite(low) else 2 * variable.start - high
@@ -351,11 +351,11 @@ def clean(value: float) -> float:
 
 def excitation(inputs: Sequence[Variable], working: Range, samples: int) -> dict[str, UniformRandom]:
     """Return the recording's random inputs, which go through the working range."""
-    found = {}
+    signals = {}
     for variable, low, high in zip(inputs, working.low.tolist(), working.high.tolist(), strict=True):
         resolution = (high - low) / 100
-        found[variable.name] = UniformRandom(rounded(low, resolution), rounded(high, resolution), samples)
-    return found
+        signals[variable.name] = UniformRandom(rounded(low, resolution), rounded(high, resolution), samples)
+    return signals
 
 
 def first_gains(tested: StepTest, choice: Choice, sample: float) -> FloatArray:

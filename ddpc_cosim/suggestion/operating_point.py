@@ -34,7 +34,7 @@ _LEAST_TIME = 5.0  # s
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class TriedPoint:
     """What has been found of a plant at an operating point."""
 
     inputs: tuple[Variable, ...]
@@ -58,7 +58,7 @@ class Found:
 
 def find(
     open_plant: Callable[..., TestedPlant], description: Declarations, request: Request, timing: Timing
-) -> Found:
+) -> TriedPoint:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
     Parameters
@@ -79,16 +79,16 @@ def find(
     every = [signal.variable for signal in description.signals("input")]
     given = request.start(description)
     usual = _usual_levels(every, given, request.ranges)
-    remarks = _told(usual, every)
+    remarks = _remarks_on(usual, every)
     parameters = request.parameters(description)
     at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
-    attempts = [({**at_start.start, **levels}, at_start.bounds, _told_of_levels(levels))]
+    attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
     for factor in _WIDER:
         wider = _wider(at_start.inputs, at_start.bounds, factor)
-        attempts.append((dict(at_start.start), wider, _told_of_ranges(at_start.bounds, wider)))
+        attempts.append((dict(at_start.start), wider, _remark_on_ranges(at_start.bounds, wider)))
     for start, bounds, remark in attempts:
         left = ends - monotonic()
         is_wider = bounds is not at_start.bounds
@@ -97,11 +97,11 @@ def find(
         if not remark:
             continue
         try:
-            found = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
+            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
         except CosimError:  # it does not run there
             continue
-        if found.influence > _BETTER * best.influence:
-            best = replace(found, remarks=(*remarks, remark, *found.remarks))
+        if point.influence > _BETTER * best.influence:
+            best = replace(point, remarks=(*remarks, remark, *point.remarks))
     return best
 
 
@@ -112,7 +112,7 @@ def _at(
     parameters: Mapping[str, ParameterValue],
     request: Request,
     timing: Timing,
-) -> Found:
+) -> TriedPoint:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
         bounds = bounds or design.input_bounds(
@@ -136,7 +136,7 @@ def _at(
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
                 choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
-        return Found(
+        return TriedPoint(
             plant.inputs,
             plant.outputs,
             plant.warnings,
@@ -203,7 +203,7 @@ def _usual_levels(
     return levels
 
 
-def _told(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
+def _remarks_on(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
     """Return what is said of the inputs that start at such levels."""
     units = {variable.name: variable.unit for variable in inputs}
     return [
@@ -213,7 +213,7 @@ def _told(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
     ]
 
 
-def _told_of_levels(levels: Mapping[str, float]) -> str:
+def _remark_on_levels(levels: Mapping[str, float]) -> str:
     listed = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
     what = "Where the plant starts its inputs do next to nothing: tried at"
     return f"{what} {listed}; --at moves it elsewhere" if listed else ""
@@ -231,7 +231,7 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
     return wider
 
 
-def _told_of_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds]) -> str:
+def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds]) -> str:
     changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
     what = "Within the ranges that were guessed first nothing responds: tried"
     return f"{what} {', '.join(changed)}; --range NAME=LO:HI if that is too far" if changed else ""

@@ -206,7 +206,7 @@ def _common_slope(time: FloatArray, deviation: FloatArray) -> float:
 def _lag(time: FloatArray, deviation: FloatArray, slope: float, held: float) -> float:
     """Return by how much a line is late, or how long it swings before it is one [s].
 
-    It is late from where it is first parallel to what it becomes; what it is late by a clock is no lag.
+    Its lag is measured from where it is first parallel to what it becomes; a delay by a clock is not a lag.
     """
     t, d = time.reshape(-1, BLOCK), deviation.reshape(-1, BLOCK)
     slopes = (d[:, -1] - d[:, 0]) / (t[:, -1] - t[:, 0])

@@ -117,7 +117,7 @@ class StepTest:
     switched : frozenset of (int, int)
         Outputs and inputs whose response is as soon there and as large after a thousandth of the step.
     resolution : float
-        What happens within this time cannot be told from what happens at once [s].
+        What happens within this time cannot be distinguished from what happens at once [s].
     """
 
     time: FloatArray

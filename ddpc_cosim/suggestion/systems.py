@@ -22,7 +22,7 @@ _SAMPLES, _DIFFER = 60, 0.02
 _COUPLING = CouplingSection(extrapolation="linear")
 
 
-class Found(Protocol):
+class TriedPoint(Protocol):
     """What a step test has found that matters here."""
 
     @property
@@ -74,26 +74,26 @@ class System:
         self.exchange = self.description.default_experiment.step_size or math.inf
         self.remarks: tuple[str, ...] = ()
 
-    def refine(self, open_plant: Callable[..., Any], found: Found, sampling_time: float) -> bool:
+    def refine(self, open_plant: Callable[..., Any], point: TriedPoint, sampling_time: float) -> bool:
         """Have values exchanged so often that twice as often makes no difference; return whether that is new.
 
-        Too seldom, a stable system can look like one that is not: how it responds is no guide.
+        Where values are exchanged too seldom, a stable system can look unstable: its responses say nothing.
 
         Parameters
         ----------
         open_plant : callable
             Opens the system; takes ``start``.
-        found : Found
+        point : TriedPoint
             Where it rests, and the steps of its inputs.
         sampling_time : float
             Time between samples [s].
         """
         before, wanted = self.exchange, min(self.exchange, sampling_time)
         finest = sampling_time / _FINEST
-        with open_plant(start=found.start) as plant:
-            rows = self._rows(plant, wanted, found, sampling_time)
+        with open_plant(start=point.start) as plant:
+            rows = self._rows(plant, wanted, point, sampling_time)
             while wanted > finest:
-                finer = self._rows(plant, wanted / 2, found, sampling_time)
+                finer = self._rows(plant, wanted / 2, point, sampling_time)
                 movement = np.ptp(finer, axis=0)
                 if (np.abs(finer - rows).max(axis=0) <= _DIFFER * movement).all():
                     break
@@ -106,13 +106,13 @@ class System:
         self.exchange = wanted if wanted < sampling_time else before
         return self.exchange != before
 
-    def _rows(self, plant: "OpenSystem", exchange: float, found: Found, h: float) -> FloatArray:
+    def _rows(self, plant: "OpenSystem", exchange: float, point: TriedPoint, h: float) -> FloatArray:
         """Return the outputs after a step of all inputs, shape (samples, p); NaN where it does not run."""
         self.exchange = exchange
-        u = found.rest + found.tested.steps
+        u = point.rest + point.tested.steps
         try:
             plant.plan(h, _SAMPLES * h)
-            rows = [plant.reset(found.request.parameters(self.description))]
+            rows = [plant.reset(point.request.parameters(self.description))]
             return np.array(rows + [plant.step(u, h) for _ in range(_SAMPLES)])
         except (ConfigError, FMUStepError):
             return np.full((_SAMPLES + 1, len(plant.outputs)), np.nan)

@@ -39,7 +39,7 @@ _SHORTER = (0.1, 0.01)
 _GENTLER = ((0.1, 0.1), (0.0, 1.0), (1.0, 0.0))  # shares of the way from rest to the limits, down and up
 _KEPT_FREE = 0.1  # of the span that was reached, at either end of it
 _SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
-_STUCK = 0.2  # of that end with an input at its limits, from which on there is no more to be had
+_STUCK = 0.2  # of that end with an input at its limits: from there on the input cannot do more
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
@@ -73,7 +73,7 @@ class _Attempt:
 
     @property
     def left(self) -> dict[str, float]:
-        """What is left of a step at worst [%], by label; without controllers of which that is not known."""
+        """What is left of a step at worst [%], by label; without controllers for which that is unknown."""
         shares = {case.label: case.left for case in self.cases}
         return {label: share for label, share in shares.items() if not math.isnan(share)}
 
@@ -105,7 +105,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     deadline : float
         When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
     sandboxed : bool
         Whether they run in a sandbox.
 
@@ -136,7 +136,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
         if not attempts:
             what = f"{proposal.study.plant.label}: no controller that was tried runs to the end"
             raise CosimError(f"{what}: {'; '.join(dict.fromkeys(faults.values()))}")
-        return _told(attempts)
+        return _with_outcome(attempts)
 
 
 def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool) -> _Attempt:
@@ -171,9 +171,9 @@ def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, s
     attempt.cases = tuple(case for case in results if case.outcome is Outcome.COMPLETED)
     # What has not been tried is not proposed, as long as there is anything else; what has begun can start.
     undone = {
-        one.controller: attempt.untried[one.label]
-        for one in cases
-        if one.label in attempt.untried and (attempt.cases or attempt.untried[one.label] == _NOT_BEGUN)
+        case.controller: attempt.untried[case.label]
+        for case in cases
+        if case.label in attempt.untried and (attempt.cases or attempt.untried[case.label] == _NOT_BEGUN)
     }
     if undone.keys() != attempt.controllers.keys():
         for key, share in undone.items():
@@ -188,7 +188,7 @@ def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, s
             attempt.cases = load_cases(folder, WholeStudy.of(resolved.study), ids).cases
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
-        attempt.line = next((one.text for one in scenario_remarks(resolved.study, attempt.cases)), "")
+        attempt.line = next((remark.text for remark in scenario_remarks(resolved.study, attempt.cases)), "")
         attempt.surprises = [*_surprises(attempt.best_trace(), proposal, attempt.preview)]
         attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
     return attempt
@@ -242,9 +242,9 @@ def _gentler(proposal: Proposal, sides: tuple[float, float]) -> Proposal:
         return replace(limits, **dict(zip(ends, less, strict=True))) if less[0] < less[1] else limits
 
     if recording is not None:
-        excited = {name: nearer(name, one, "low", "high") for name, one in recording.excitation.items()}
+        excited = {name: nearer(name, signal, "low", "high") for name, signal in recording.excitation.items()}
         recording = replace(recording, excitation=excited)
-    bounds = {name: nearer(name, one, "min", "max") for name, one in study.bounds.items()}
+    bounds = {name: nearer(name, limits, "min", "max") for name, limits in study.bounds.items()}
     why = "; less, as every run failed with that"
     origins = {name: f"{origin}{why}" for name, origin in proposal.origins.items()}
     return replace(proposal.changed(bounds=bounds, recording=recording), origins=origins)
@@ -255,7 +255,9 @@ def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
     last = attempts[-1]
     trace, proposal = last.best_trace(), last.proposal
     responses = _responses(trace, last.preview)
-    ends = {one.variable.name: [_settled_part(step) for step in one.steps] for one in responses}
+    ends = {
+        response.variable.name: [_settled_part(step) for step in response.steps] for response in responses
+    }
     may_be_longer = proposal.asked.duration is None and len(attempts) == 1
     if may_be_longer and not _stuck(trace, chain(*ends.values())):
         return _longer(proposal)
@@ -334,8 +336,8 @@ def _stretched(proposal: Proposal, by: float) -> Proposal:
     return proposal.changed(
         loop=replace(loop, duration=clean(by * loop.duration)),
         reference={
-            name: replace(one, times=tuple(clean(by * time) for time in one.times))
-            for name, one in proposal.setpoints.items()
+            name: replace(steps, times=tuple(clean(by * time) for time in steps.times))
+            for name, steps in proposal.setpoints.items()
         },
     )
 
@@ -377,11 +379,11 @@ def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[
                 yield f"{output.name} does not go {side} {level:.4g}{why}"
 
 
-def _told(attempts: Sequence[_Attempt]) -> Proposal:
+def _with_outcome(attempts: Sequence[_Attempt]) -> Proposal:
     """Return the best of what was tried, with what came of it in its comments."""
-    best = min(attempts, key=lambda one: one.best)
+    best = min(attempts, key=lambda attempt: attempt.best)
     proposal = best.proposal
-    limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
+    limits = dict.fromkeys(limit for attempt in attempts for limit in attempt.limits)
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely:
         likely = best.surprises or (
@@ -398,7 +400,9 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
         head.append(f"The time for trying was over before the end of {rest}.")
     shares = ", ".join(f"{label} {_percent(share)}" for label, share in best.left.items())
     kept = {controller.label for controller in proposal.study.controllers.values()}
-    dropped = {k: why for one in reversed(attempts) for k, why in one.dropped.items() if k not in kept}
+    dropped = {
+        k: why for attempt in reversed(attempts) for k, why in attempt.dropped.items() if k not in kept
+    }
     on_controllers = [
         f"Tried once; left of the step at worst: {shares}." if shares else "",
         *(f"{label} is left out: {reason}" for label, reason in dropped.items()),
@@ -407,20 +411,20 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     if best is not attempts[0]:
         on_reference += [
             "Changed after a trial to what the best controller reached.",
-            *(f"{one}." for one in limits),
+            *(f"{limit}." for limit in limits),
         ]
     comments = {name: [*texts] for name, texts in proposal.comments.items()}
     for name, texts in (("head", head), ("reference", on_reference), ("controllers", on_controllers)):
         comments[name] = [*comments.get(name, ()), *filter(None, texts)]
     report = ReportSection(limitations=[f"{WHY}{'; '.join(likely)}"] if likely else [])
-    told = {name: tuple(texts) for name, texts in comments.items()}
-    return replace(proposal.changed(report=report), comments=told)
+    by_section = {name: tuple(texts) for name, texts in comments.items()}
+    return replace(proposal.changed(report=report), comments=by_section)
 
 
 def _best_words(attempt: _Attempt) -> str:
     if not attempt.left:
         return ""
-    label = min(attempt.left, key=lambda one: attempt.left[one])
+    label = min(attempt.left, key=lambda key: attempt.left[key])
     return f"Tried once; best: {label}, {_percent(attempt.left[label])} of the step left."
 
 

@@ -65,7 +65,7 @@ class Proposal:
     @property
     def setpoints(self) -> dict[str, Steps]:
         """The references, which are steps, by output."""
-        return {name: one for name, one in self.study.reference.items() if isinstance(one, Steps)}
+        return {name: signal for name, signal in self.study.reference.items() if isinstance(signal, Steps)}
 
     @property
     def sampling_time(self) -> float:
@@ -99,9 +99,9 @@ def study_text(proposal: Proposal, fmu: str) -> str:
     above[()] = above.pop(("head",), ())
     above |= {place: (text,) for place, text in _OF_TABLES.items()}
     above |= {
-        ("controllers", key): (WHY_SETTINGS[one.type],)
-        for key, one in study.controllers.items()
-        if one.type in WHY_SETTINGS
+        ("controllers", key): (WHY_SETTINGS[section.type],)
+        for key, section in study.controllers.items()
+        if section.type in WHY_SETTINGS
     }
     return commented_toml(tables, above, _remarks(proposal))
 
@@ -138,8 +138,8 @@ def commented_toml(
 
     def lines(table: Mapping[str, Any], place: Place, before: Sequence[str]) -> Iterator[str]:
         """Yield a table; what is said of one that holds tables alone stands above the first of them."""
-        own = [*_comment_lines(above.get(place, ()))]
-        head = [*before, *([""] if before and own else []), *own]
+        comment_above = [*_comment_lines(above.get(place, ()))]
+        head = [*before, *([""] if before and comment_above else []), *comment_above]
         below = {key: v for key, v in table.items() if isinstance(v, dict) and (*place, key) not in beside}
         if len(below) < len(table) or not table:
             yield from ["", *head, f"[{'.'.join(map(_key, map(str, place)))}]"] if place else head
@@ -147,7 +147,7 @@ def commented_toml(
         for key, value in table.items():
             at = (*place, key)
             if (*at, 0) in beside:
-                entries = (f"    {_value(one)},{remark((*at, i))}" for i, one in enumerate(value))
+                entries = (f"    {_value(item)},{remark((*at, i))}" for i, item in enumerate(value))
                 yield from (f"{_key(key)} = [", *entries, "]")
             elif key not in below:
                 yield f"{_key(key)} = {_value(value)}{remark(at)}"
@@ -167,7 +167,7 @@ def _value(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{_key(key)} = {_value(one)}' for key, one in value.items())} }}"
+        return f"{{ {', '.join(f'{_key(key)} = {_value(item)}' for key, item in value.items())} }}"
     return _line("x", value).partition(" = ")[2]
 
 
@@ -238,7 +238,7 @@ def comments(
         What is wrong with the FMU but does not keep it from running.
     """
     on_plant = (*_on_responses(about), *_on_what_is_left_out(about, left_out))
-    found = {
+    by_section = {
         "plant": (*on_plant, *(f"Warning: {warning}" for warning in warnings)),
         "loop": tuple(_on_timing(about)),
         "reference": tuple(_on_setpoints(about)),
@@ -248,8 +248,8 @@ def comments(
             "`ddpc-cosim list controllers` shows what else can compete, `docs/methods.md` what it does.",
         ),
     }
-    there = "controllers" if about.unstable else "recording"  # why there is none stands in the next section
-    return found | {there: (*_on_recording(about), *found[there])}
+    there = "controllers" if about.unstable else "recording"  # without a recording the next section says why
+    return by_section | {there: (*_on_recording(about), *by_section[there])}
 
 
 def _on_responses(about: Circumstances) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 A trial's runs are cases in the folder of results, which no trial of the same settings runs again, and what is
 tried next follows from the trials before alone. A tuning that was interrupted goes on by going through its
-trials once more; there is no other record of it that could contradict the cases.
+trials once more; no other record of it exists that could contradict the cases.
 """
 
 import json
@@ -61,7 +61,7 @@ class Request:
     Parameters
     ----------
     objectives : tuple of Objective
-        What trials are compared by; the first chooses among those that none is better than in all.
+        What trials are compared by; the first chooses among the trials that are not dominated.
     trials : int
         How many settings each controller is tried with, those of the study included.
     seeds : list of int
@@ -88,11 +88,13 @@ class Request:
 
     def __post_init__(self) -> None:
         faults = [
-            f"--objective {one.metric}: given twice"
-            for number, one in enumerate(self.objectives)
-            if one in self.objectives[:number]
+            f"--objective {objective.metric}: given twice"
+            for number, objective in enumerate(self.objectives)
+            if objective in self.objectives[:number]
         ]
-        others = ", ".join(one.metric for one in self.objectives if one.metric != PREDICTION)
+        others = ", ".join(
+            objective.metric for objective in self.objectives if objective.metric != PREDICTION
+        )
         if self.by_prediction and others:
             faults.append(f"--objective {PREDICTION}: closes no loop, which {others} is of; give one of them")
         if faults:
@@ -123,12 +125,12 @@ class Request:
             It has given some that the study reports.
         """
         free = (seed for seed in range(_FIRST_SEED, 2**32) if seed not in reported)
-        own = [next(free) for _ in range(_SEEDS)]
+        unreported = [next(free) for _ in range(_SEEDS)]
         if shared := [seed for seed in self.seeds if seed in reported]:
             what = "seeds of the study, on which default and tuned settings are compared"
             what = f"--seeds: {_listed(shared)}: {what}"
-            raise ConfigError(f"{what}; needed: others, such as {own[0]}:{own[-1] + 1}")
-        return replace(self, seeds=self.seeds or own)
+            raise ConfigError(f"{what}; needed: others, such as {unreported[0]}:{unreported[-1] + 1}")
+        return replace(self, seeds=self.seeds or unreported)
 
 
 def _listed(values: Sequence[object]) -> str:
@@ -203,7 +205,7 @@ def tune_study(
     if request.compares:
         claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     patterns = patterns_of(selection.only)
-    planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
+    planned = {name: (problem, plants[name]) for name, problem in resolved.problems.items()}
     all_cases = cases_of_problems(planned, request.seeds, patterns)
     in_full = Counter((case.problem, case.controller) for case in all_cases)
     searches = [search for search in searches if (search.problem, search.name) in in_full]
@@ -211,27 +213,31 @@ def tune_study(
     if any(lacking):
         raise MissingLibraryError(list(dict.fromkeys(filter(None, lacking))))
     at_rest = [] if request.by_prediction else doing_nothing(all_cases)
-    tried = request.trials * sum(in_full[search.problem, search.name] for search in searches)
-    progress.start(tried + len(at_rest), 0)
+    runs_of_trials = request.trials * sum(in_full[search.problem, search.name] for search in searches)
+    progress.start(runs_of_trials + len(at_rest), 0)
     run_missing(at_rest, folder, selection, progress)
-    resting = {run_of(case): case for case in (load_case(folder / CASES_FOLDER / one.id) for one in at_rest)}
+    runs_at_rest = (load_case(folder / CASES_FOLDER / case.id) for case in at_rest)
+    resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:
         scenarios = resolved.problems[cases[0].problem].study.scenarios
         return list(judged(scenarios, map(load_case, places), resting))
 
     tunings = [_Tuning(search, *planned[search.problem], request, patterns, progress) for search in searches]
-    others = [one.others_in(tunings) for one in tunings]
+    others = [tuning.others_in(tunings) for tuning in tunings]
     last = [min(len(some), request.trials - 1) for some in others]
-    first = [one.go_on(request.trials - n) for one, n in zip(tunings, last, strict=True)]
+    first = [tuning.go_on(request.trials - n) for tuning, n in zip(tunings, last, strict=True)]
     times = _run_all(first, folder, selection, progress, judge)
-    for one, some in zip(tunings, others, strict=True):
-        one.propose_found(some)
-    rest = [one.go_on(n) for one, n in zip(tunings, last, strict=True) if n]
+    for tuning, some in zip(tunings, others, strict=True):
+        tuning.propose_found(some)
+    rest = [tuning.go_on(n) for tuning, n in zip(tunings, last, strict=True) if n]
     times += _run_all(rest, folder, selection, progress, judge)
     trials = {(search.problem, search.name): search.trials for search in searches}
-    found = {key: tried[best(tried)].settings for key, tried in trials.items()}
-    at_ends = {(one.problem, one.name): one.at_ends(found[one.problem, one.name]) for one in searches}
+    chosen = {key: tried[best(tried)].settings for key, tried in trials.items()}
+    at_ends = {
+        (search.problem, search.name): search.at_ends(chosen[search.problem, search.name])
+        for search in searches
+    }
     tuned = _tuned_study(resolved, trials, at_ends, request)
     write_atomically(folder / TUNED_FILE, tuned.toml())
     kept = [] if patterns else kept
@@ -239,14 +245,15 @@ def tune_study(
     if request.compares:
         both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
         progress.prepare("comparing on the seeds of the study")
-        count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
+        count = len(trials) * request.trials
+        runs = sum(trial.runs for tried in trials.values() for trial in tried)
         seconds = fsum(filter(isfinite, times))
         facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
         on_all = replace(selection, only=())
         results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
-        for who, own in trials.items():
+        for who, tried in trials.items():
             spans = reference_spans(resolved.problems[who[0]])
-            held_out[who] = _held_out(who, own, results, spans, request.objectives)
+            held_out[who] = _held_out(who, tried, results, spans, request.objectives)
         folders.append(folder / HELD_OUT_FOLDER)  # where the report finds it
     table = encodable(_trials_table(trials, held_out, at_ends, request)).encode()
     for place in folders:
@@ -259,16 +266,16 @@ def _searches(
 ) -> tuple[list[SettingsSearch], list[tuple[str, str]]]:
     """Return what to search, and what is left as it is; all errors at once."""
     searches, kept, faults = [], list[tuple[str, str]](), list[str]()
-    for problem, one in resolved.problems.items():
+    for problem, resolved_study in resolved.problems.items():
         within = "" if resolved.whole.is_flat else f" (problem {problem})"
-        if one.study.variant_of:
+        if resolved_study.study.variant_of:
             faults.append(f"sweep: {_NO_SWEEPS}")
         for objective in request.objectives:
             try:
-                objective.check(one)
+                objective.check(resolved_study)
             except ConfigError as error:
                 faults += error.faults
-        for name, section in one.study.controllers.items():
+        for name, section in resolved_study.study.controllers.items():
             if section.variant_of:
                 faults.append(f"controllers.{section.variant_of}.sweep: {_NO_SWEEPS}")
                 continue
@@ -305,20 +312,20 @@ class _Tuning:
     def __init__(
         self,
         search: SettingsSearch,
-        one: ResolvedStudy,
+        resolved: ResolvedStudy,
         plant: PlantSpec,
         request: Request,
         patterns: Sequence[str],
         progress: TuningProgress,
     ) -> None:
         self.search = search
-        self._one, self._plant, self._request, self._patterns = one, plant, request, patterns
-        self._spans, self._progress = reference_spans(one), progress
+        self._resolved, self._plant, self._request, self._patterns = resolved, plant, request, patterns
+        self._spans, self._progress = reference_spans(resolved), progress
 
     def go_on(self, trials: int) -> Generator[list[Case], list[CaseResult], None]:
         """Go through so many trials: yield what is to be run next, and be sent its results.
 
-        A trial is pruned between its runs, of which those that trials failed most often come first.
+        A trial is pruned between its runs, with the runs first that trials failed most often.
         """
         search, objectives = self.search, self._request.objectives
         for _ in range(trials):
@@ -347,13 +354,14 @@ class _Tuning:
 
     def propose_found(self, others: Sequence["_Tuning"]) -> None:
         """Have what has been found for methods that this one contains tried next."""
-        study, logged = self._one.study, self._one.recording
+        study, logged = self._resolved.study, self._resolved.recording
         samples = len(logged) if logged else study.recording.samples if study.recording else 0
-        kind, sizes = controller_class(self._section.type), (len(self._one.inputs), len(self._one.outputs))
+        kind = controller_class(self._section.type)
+        sizes = len(self._resolved.inputs), len(self._resolved.outputs)
         for other in others:
-            found = other.search.trials[best(other.search.trials)].settings
+            chosen = other.search.trials[best(other.search.trials)].settings
             section = other._section
-            controller = make_controller(section.type, with_settings(section.settings, found))
+            controller = make_controller(section.type, with_settings(section.settings, chosen))
             settings = settings_of_other(controller, kind, *sizes, samples or 0)
             if faults := [*settings_faults(self._section, settings)]:
                 who = f"{type(controller).__name__}.settings_as({kind.__name__})"
@@ -363,16 +371,16 @@ class _Tuning:
 
     @property
     def _section(self) -> ControllerSection:
-        return self._one.study.controllers[self.search.name]
+        return self._resolved.study.controllers[self.search.name]
 
     def _cases(self, settings: dict[str, Any]) -> list[Case]:
         """Return the runs of a trial."""
-        study, section = self._one.study, self._section
+        study, section = self._resolved.study, self._section
         section = replace(section, settings=with_settings(section.settings, settings))
         changes: dict[str, Any] = {"controllers": {self.search.name: section}}
         if self._request.by_prediction:  # which is known before the first sample
             changes["loop"] = replace(study.loop, duration=study.loop.sampling_time)
-        changed = replace(self._one, study=replace(study, **changes))
+        changed = replace(self._resolved, study=replace(study, **changes))
         seeds = self._request.seeds
         return list(cases_of_problem(changed, self._plant, self.search.problem, seeds, self._patterns))
 
@@ -384,18 +392,18 @@ def _run_all(
     progress: TuningProgress,
     judge: Callable[[Sequence[Case], Sequence[Path]], list[CaseResult]],
 ) -> list[float]:
-    """Run what all tunings want next until none wants more; return how long the runs took."""
+    """Run what all tunings want next until all are done; return how long the runs took."""
     times = list[float]()
-    due = {one: next(one) for one in tunings}
+    due = {tuning: next(tuning) for tuning in tunings}
     while due:
         run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
-        for one, cases in [*due.items()]:
+        for tuning, cases in [*due.items()]:
             folders = [folder / CASES_FOLDER / case.id for case in cases]
             times += [read_run(place)["wall_time"] for place in folders]
             try:
-                due[one] = one.send(judge(cases, folders))
+                due[tuning] = tuning.send(judge(cases, folders))
             except StopIteration:
-                del due[one]
+                del due[tuning]
     return times
 
 
@@ -408,13 +416,13 @@ def _held_out(
 ) -> tuple[Trial, Trial]:
     """Return a controller's settings as given and those found as trials on the seeds of the study."""
     problem, name = who
-    given, found = (
+    given, tuned = (
         [case for case in results.cases if case.problem == problem and case.controller == key]
         for key in (_as_given(name), name)
     )
     return (
         trial_of(tried[0].settings, figures_of(given, objectives, spans), objectives),
-        trial_of(tried[best(tried)].settings, figures_of(found, objectives, spans), objectives),
+        trial_of(tried[best(tried)].settings, figures_of(tuned, objectives, spans), objectives),
     )
 
 
@@ -431,9 +439,9 @@ def _trials_table(
     rows = []
     for (problem, controller), tried in trials.items():
         whole, chosen = [trial for trial in tried if not trial.pruned], best(tried)
-        given, found = held_out.get((problem, controller), (None, None))
+        given, tuned = held_out.get((problem, controller), (None, None))
         for number, trial in enumerate(tried):
-            again = found if number == chosen else given if not number else None
+            again = tuned if number == chosen else given if not number else None
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
             row = [problem, controller, number, trial.origin, trial.runs, trial.pruned, trial.failed]
             row += ["" if trial.pruned else value for value in trial.values]
@@ -452,13 +460,13 @@ def _tuned_study(
 ) -> WholeStudy:
     """Return the study with the best settings, which says how they came about."""
     problems = {}
-    for problem, one in resolved.problems.items():
-        controllers = dict(one.study.controllers)
+    for problem, resolved_study in resolved.problems.items():
+        controllers = dict(resolved_study.study.controllers)
         for (of, name), tried in trials.items():
             if of == problem:
-                found = tried[best(tried)].settings
+                chosen = tried[best(tried)].settings
                 how = TunedSection(
-                    settings=list(found),
+                    settings=list(chosen),
                     trials=request.trials,
                     seeds=request.seeds,
                     by=request.by,
@@ -467,9 +475,9 @@ def _tuned_study(
                     at_ends=at_ends[of, name],
                 )
                 section = controllers[name]
-                settings = with_settings(section.settings, found)
+                settings = with_settings(section.settings, chosen)
                 controllers[name] = replace(section, settings=settings, tuned=how)
-        problems[problem] = replace(one.study, controllers=controllers)
+        problems[problem] = replace(resolved_study.study, controllers=controllers)
     return _whole(resolved, problems, request.summary(list(dict.fromkeys(name for _, name in trials))))
 
 

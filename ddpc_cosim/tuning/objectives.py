@@ -54,7 +54,7 @@ class Objective:
         Raises
         ------
         ConfigError
-            There is no such metric, or runs are not summed up so.
+            The metric does not exist, or runs are not summed up so.
         """
         key, _, over = text.partition(":")
         name, signal, _ = split_key(key)
@@ -76,17 +76,17 @@ class Objective:
             "worst of all runs" if over == "worst" else f"{over} over the seeds, mean over the scenarios"
         )
 
-    def check(self, one: ResolvedStudy) -> None:
-        """Raise a ConfigError if a problem has no such figure."""
+    def check(self, resolved: ResolvedStudy) -> None:
+        """Raise a ConfigError if a problem does not have such a figure."""
         if self.metric == PREDICTION:
             return
         metric = all_metrics()[self.metric]
-        variables = {Response: one.outputs, Actuation: one.inputs}.get(metric.of, ())
+        variables = {Response: resolved.outputs, Actuation: resolved.inputs}.get(metric.of, ())
         known = [variable.name for variable in variables]
         if self.signal and self.signal not in known:
             hint = did_you_mean(self.signal, known) if known else f"needed: {self.metric}"
             raise ConfigError(
-                f'--objective: {self.metric} has no signal "{self.signal}" in {one.study.name}; {hint}'
+                f'--objective: {self.metric} has no signal "{self.signal}" in {resolved.study.name}; {hint}'
             )
         in_own_units = metric.unit in ("value", "difference", "difference.s") and not self._is_share_of_span
         if not self.signal and len(known) > 1 and in_own_units:
@@ -99,7 +99,7 @@ class Objective:
         return not self.signal and metric.of is Response and metric.unit == "difference"
 
     def of(self, runs: Mapping[Run, float]) -> float:
-        """Return the figure of a trial, the lower the better; infinite where too many runs have none.
+        """Return the figure of a trial, the lower the better; infinite where too many runs do not have one.
 
         Parameters
         ----------
@@ -112,33 +112,33 @@ class Objective:
         if not values:
             return math.inf
         if self.over == "worst":
-            return max(max(own) for own in values.values())
+            return max(max(figures) for figures in values.values())
         if self.over == "mean":
-            return fmean(fmean(own) for own in values.values())
+            return fmean(fmean(figures) for figures in values.values())
         if self.over == "median":
-            return fmean(float(np.median(own)) for own in values.values())
-        share = float(self.over)  # of infinite values there is no interpolation
-        return fmean(float(np.quantile(own, share, method="higher")) for own in values.values())
+            return fmean(float(np.median(figures)) for figures in values.values())
+        share = float(self.over)  # infinite values cannot be interpolated
+        return fmean(float(np.quantile(figures, share, method="higher")) for figures in values.values())
 
     def of_run(self, case: CaseResult, spans: Mapping[str, float]) -> float:
-        """Return the figure of a run, the lower the better; infinite where there is none."""
+        """Return the figure of a run, the lower the better; infinite where it does not exist."""
         if case.outcome is not Outcome.COMPLETED:
             return math.inf
         if self.metric == PREDICTION:
             return _or_infinite(case.diagnostics.get(_PREDICTION_ERROR, math.nan))
         metric = all_metrics()[self.metric]
-        found = {
+        values = {
             split_key(key)[1]: value
             for key, value in case.metrics.items()
             if split_key(key)[0] == self.metric
         }
-        own = {signal: value for signal, value in found.items() if self.signal in ("", signal)}
+        wanted = {signal: value for signal, value in values.items() if self.signal in ("", signal)}
         if self._is_share_of_span:
-            own = {signal: value / spans[signal] for signal, value in own.items()}
-        return _or_infinite(metric.rank(fmean(own.values()))) if own else math.inf
+            wanted = {signal: value / spans[signal] for signal, value in wanted.items()}
+        return _or_infinite(metric.rank(fmean(wanted.values()))) if wanted else math.inf
 
     def failed(self, case: CaseResult) -> bool:
-        """Whether a run failed; where predictions alone count, whether there is none."""
+        """Whether a run failed; where predictions alone count, whether they are missing."""
         if self.metric == PREDICTION:
             return not math.isfinite(self.of_run(case, {}))
         return case.failed
@@ -155,9 +155,11 @@ def _or_infinite(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def reference_spans(one: ResolvedStudy) -> dict[str, float]:
+def reference_spans(resolved: ResolvedStudy) -> dict[str, float]:
     """Return by how much each reference moves, in its display unit; of a constant one the nominal value."""
-    loop = one.study.loop
+    loop = resolved.study.loop
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
-    moves = {v.name: float(np.ptp(one.reference[v.name].at(time))) or v.nominal for v in one.outputs}
-    return {v.name: moves[v.name] * v.shown_in.factor for v in one.outputs}
+    moves = {
+        v.name: float(np.ptp(resolved.reference[v.name].at(time))) or v.nominal for v in resolved.outputs
+    }
+    return {v.name: moves[v.name] * v.shown_in.factor for v in resolved.outputs}

@@ -43,7 +43,7 @@ class Figures(NamedTuple):
     Parameters
     ----------
     failed : bool
-        Whether it failed; of a prediction, whether there is none.
+        Whether it failed; of a prediction, whether it is missing.
     values : tuple of float
         Of each objective, the lower the better.
     """
@@ -127,7 +127,7 @@ class SettingsSearch:
         self.problem, self.name, self.given, self.spaces = problem, name, given, spaces
         self.trials: list[Trial] = []
         self._as_given = {setting: _entry(given, setting) for setting in spaces}
-        self._proposed = [({}, AS_GIVEN), *((one, FIRST) for one in first)]
+        self._proposed = [({}, AS_GIVEN), *((settings, FIRST) for settings in first)]
         self._objectives = objectives
         self._best_yet: dict[Run, Figures] = {}
         self._lost = Counter[Run]()
@@ -143,8 +143,8 @@ class SettingsSearch:
 
     def propose(self, settings: Mapping[str, Any], origin: str) -> None:
         """Have settings tried next, others as given."""
-        own = {name: value for name, value in settings.items() if value != self.given.get(name)}
-        self._proposed.append((own, origin))
+        changed = {name: value for name, value in settings.items() if value != self.given.get(name)}
+        self._proposed.append((changed, origin))
 
     def next_settings(self) -> dict[str, Any]:
         """Return what to try: at first what the study says."""
@@ -186,18 +186,18 @@ class SettingsSearch:
         trial = hoped._replace(failed=failed, runs=len(runs), pruned=pruned, origin=self._origin)
         if self._asked is None:
             if not pruned and (params := self._params(trial.settings)):
-                told = optuna.create_trial(
+                trial_as_given = optuna.create_trial(
                     params=params, distributions=self._distributions, values=trial.penalised
                 )
-                self._optuna.add_trial(told)
+                self._optuna.add_trial(trial_as_given)
         else:
-            # Told as pruned, any trial would count as worse than every whole one, the poorest among them.
+            # Reported as pruned, any trial would count as worse than every whole one, the poorest among them.
             self._optuna.tell(self._asked, self._expected(runs).penalised if pruned else trial.penalised)
-        self._lost.update(run for run, own in runs.items() if own.failed)
-        for run, own in runs.items():
-            other = self._best_yet.get(run, own)
+        self._lost.update(run for run, figures in runs.items() if figures.failed)
+        for run, figures in runs.items():
+            other = self._best_yet.get(run, figures)
             self._best_yet[run] = Figures(
-                min(own.failed, other.failed), tuple(map(min, own.values, other.values))
+                min(figures.failed, other.failed), tuple(map(min, figures.values, other.values))
             )
         self.trials.append(trial)
 
@@ -209,9 +209,9 @@ class SettingsSearch:
     def _expected(self, runs: Mapping[Run, Figures]) -> Trial:
         """Return what a trial is if in the runs left it is as much worse than the best as so far.
 
-        Of these as many fail as of other trials: those that fail most come first, and tell nothing of others.
+        Of these as many fail as of other trials: the first runs fail most, and say nothing about later ones.
         """
-        behind = [map(_behind, own.values, self._best_yet[run].values) for run, own in runs.items()]
+        behind = [map(_behind, figures.values, self._best_yet[run].values) for run, figures in runs.items()]
         worse = [fmean(values) for values in zip(*behind, strict=True)]
         left = {
             run: Figures(failed=False, values=tuple(map(operator.add, figures.values, worse)))
@@ -224,7 +224,7 @@ class SettingsSearch:
 
     def at_ends(self, settings: Mapping[str, Any]) -> list[str]:
         """Return which settings lie at an end of where was looked, or beyond it."""
-        found = []
+        settings_at_ends = []
         for setting, space in self.spaces.items():
             value = _param(space, settings[setting], _entry(self.given, setting))
             if isinstance(space, Choice) or value is None:
@@ -232,18 +232,18 @@ class SettingsSearch:
             low, high = _on_scale(space, space.low), _on_scale(space, space.high)
             margin = _AT_END * (high - low)
             if not low + margin < _on_scale(space, value) < high - margin:
-                found.append(setting)
-        return found
+                settings_at_ends.append(setting)
+        return settings_at_ends
 
     def _params(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return settings as a point of the spaces; empty if it is none of theirs."""
+        """Return settings as a point of the spaces; empty if they do not lie in them."""
         params: dict[str, Any] = {}
         for setting, space in self.spaces.items():
             value = _param(space, settings[setting], _entry(self.given, setting))
             if value is None or (not isinstance(space, Choice) and not space.low <= value <= space.high):
                 return {}
             params[setting] = value
-        # What else differs from the study makes it another controller, of which the point tells nothing.
+        # With other differences from the study it is another controller: the point says nothing about it.
         return params if settings.keys() <= params.keys() else {}
 
 
@@ -268,20 +268,20 @@ def _value(space: Search, param: Any, given: Any) -> Any:
 
 
 def _param(space: Search, value: Any, given: Any) -> Any:
-    """Return the parameter of a value, as :func:`_value` makes it; None if it has none."""
+    """Return the parameter of a value, as :func:`_value` makes it; None if it does not have one."""
     if isinstance(space, Choice):
         return list(space.values).index(value) if value in space.values else None
     if isinstance(space, Factor):
-        one, of = np.ravel(value), np.ravel(given)
-        if one.shape != of.shape or not of.any():
+        numbers, of = np.ravel(value), np.ravel(given)
+        if numbers.shape != of.shape or not of.any():
             return None
-        factor = float(one[of != 0][0] / of[of != 0][0])
-        return factor if np.allclose(one, of * factor, rtol=10.0**-_DIGITS) else None
+        factor = float(numbers[of != 0][0] / of[of != 0][0])
+        return factor if np.allclose(numbers, of * factor, rtol=10.0**-_DIGITS) else None
     return value if isinstance(value, int | float) else None
 
 
 def _behind(value: float, best: float) -> float:
-    """Return by how much a value is worse than the best; where nobody has one yet, it is as good as that."""
+    """Return by how much a value is worse than the best; without a best one yet, by nothing."""
     if not math.isfinite(value):
         return math.inf
     return value - best if math.isfinite(best) else 0.0
@@ -311,10 +311,10 @@ def _entry(settings: Mapping[str, Any], name: str) -> Any:
     return value
 
 
-def with_settings(settings: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+def with_settings(settings: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings in which others, by their dotted names, take the place of some."""
     changed = dict(settings)
-    for name, value in found.items():
+    for name, value in others.items():
         key, _, rest = name.partition(".")
         changed[key] = with_settings(changed[key], {rest: value}) if rest else value
     return changed
@@ -335,10 +335,10 @@ def figures_of(
 def trial_of(settings: dict[str, Any], runs: Mapping[Run, Figures], objectives: Sequence[Objective]) -> Trial:
     """Return the trial that has had these runs."""
     values = tuple(
-        objective.of({run: own.values[number] for run, own in runs.items()})
+        objective.of({run: figures.values[number] for run, figures in runs.items()})
         for number, objective in enumerate(objectives)
     )
-    return Trial(sum(own.failed for own in runs.values()), values, settings, len(runs))
+    return Trial(sum(figures.failed for figures in runs.values()), values, settings, len(runs))
 
 
 def best(trials: Sequence[Trial]) -> int:
@@ -372,7 +372,7 @@ def _predicts(info: SettingInfo, settings: Mapping[str, Any]) -> bool:
 
 
 def _has_no_multiple(space: Search, value: Any) -> bool:
-    """Whether multiples of a value are none: it is zero, or not a number."""
+    """Whether a value does not have multiples: it is zero, or not a number."""
     numbers = isinstance(value, int | float) and not isinstance(value, bool) and value
     is_list = (
         isinstance(value, list) and bool(value) and any(not _has_no_multiple(space, item) for item in value)
@@ -388,16 +388,16 @@ def space_faults(section: ControllerSection, spaces: Mapping[str, Search]) -> It
             yield f"{name}: {given!r} has no multiples; needed: log or linear instead of factor, or a value"
             continue
         params = range(len(space.values)) if isinstance(space, Choice) else (space.low, space.high)
-        found = dict[str, None]()
+        faults = dict[str, None]()
         for param in params:
             try:
                 make_controller(
                     section.type, with_settings(section.settings, {name: _value(space, param, given)})
                 )
             except SettingsError as error:
-                own = [fault for place, fault in error.found if place and place[0] == name.partition(".")[0]]
-                found |= dict.fromkeys(own)
-        yield from (f"{name}: {fault}" for fault in found)
+                key = name.partition(".")[0]
+                faults |= dict.fromkeys(fault for place, fault in error.found if place[:1] == (key,))
+        yield from (f"{name}: {fault}" for fault in faults)
 
 
 def settings_faults(section: ControllerSection, settings: Mapping[str, Any]) -> Iterator[str]:
@@ -408,7 +408,7 @@ def settings_faults(section: ControllerSection, settings: Mapping[str, Any]) -> 
         yield from error.faults
 
 
-def dominates(one: Trial, other: Trial) -> bool:
+def dominates(trial: Trial, other: Trial) -> bool:
     """Whether a trial is better than another in something and worse in nothing."""
-    pairs = list(zip((one.failed, *one.values), (other.failed, *other.values), strict=True))
+    pairs = list(zip((trial.failed, *trial.values), (other.failed, *other.values), strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)

@@ -176,7 +176,7 @@ def test_every_function_of_the_equations_is_converted(point: tuple[float, float]
 
 
 def test_what_it_is_not_told_of_leaves_no_offset() -> None:
-    """A torque that nobody announces, and a pendulum that is heavier than its model."""
+    """A torque that is not announced, and a pendulum that is heavier than its model."""
 
     def heavier(x: np.ndarray, torque: np.ndarray) -> np.ndarray:
         return quick_pendulum(x, torque / 1.3 + 0.4)

@@ -51,8 +51,8 @@ def imports(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def rooms_imported(room: str) -> set[str]:
-    found = {module.split(".")[0] for path in modules(room).values() for module, _ in imports(path)}
-    return found & ROOMS.keys() - {room}
+    imported = {module.split(".")[0] for path in modules(room).values() for module, _ in imports(path)}
+    return imported & ROOMS.keys() - {room}
 
 
 def test_fmu_plants_imports_none_of_the_others() -> None:

@@ -350,7 +350,10 @@ def test_an_input_may_have_another_signal_in_the_experiment() -> None:
     loop, recorded = Steps((0.0, 3.0), (1.0, -1.0)), Ramp(0.0, 2.0, 0.0, 5.0)
     conditions = Conditions(inputs={"ambient": loop}, recorded_inputs={"ambient": recorded})
     same = Conditions(inputs={"ambient": recorded})
-    recordings = [record(Linear(), EXCITATION, sampling_time=H, conditions=one) for one in (conditions, same)]
+    recordings = [
+        record(Linear(), EXCITATION, sampling_time=H, conditions=recorded_in)
+        for recorded_in in (conditions, same)
+    ]
     assert np.array_equal(recordings[0].y, recordings[1].y)
     trace = run(conditions, excitation=EXCITATION)
     assert np.array_equal(trace.applied[:, 0], loop.at(TIME))

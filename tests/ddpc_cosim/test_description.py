@@ -51,13 +51,13 @@ def test_equations_and_a_class_have_the_variables_that_they_declare(tmp_path: Pa
     } == equations.tunable
     assert equations.default_experiment.stop_time is not None
     (tmp_path / "own.py").write_text(CLASS, encoding="utf-8")
-    own = PlantSpec(f"{tmp_path / 'own.py'}:Lag", "").variables()
-    assert {name: variable.causality for name, variable in own.variables.items()} == {
+    description = PlantSpec(f"{tmp_path / 'own.py'}:Lag", "").variables()
+    assert {name: variable.causality for name, variable in description.variables.items()} == {
         "u": "input",
         "x": "output",
     }
-    assert own.signal("u") is not None
-    assert (own.parameters, own.default_experiment) == ({}, DefaultExperiment())
+    assert description.signal("u") is not None
+    assert (description.parameters, description.default_experiment) == ({}, DefaultExperiment())
 
 
 @pytest.mark.parametrize("unit", ["K", ""])

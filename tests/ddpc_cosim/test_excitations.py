@@ -175,10 +175,10 @@ def test_the_frequency_of_a_chirp_is_that_of_its_sweep(
     phase = np.unwrap(np.angle(np.fft.ifft(spectrum)))
     inside = np.arange(300, 1700)
     # Over 100 samples the ripple of the finite transform averages out.
-    found = (phase[inside + 50] - phase[inside - 50]) / (2 * pi * 100)
+    frequency = (phase[inside + 50] - phase[inside - 50]) / (2 * pi * 100)
     part = inside / samples
     wanted = first + (last - first) * part if sweep == "linear" else first * (last / first) ** part
-    assert found == pytest.approx(wanted, abs=1.5e-3)
+    assert frequency == pytest.approx(wanted, abs=1.5e-3)
 
 
 def test_the_inputs_of_a_chirp_never_share_a_frequency() -> None:
@@ -199,7 +199,7 @@ EVERY: list[Excitation] = [
 ]
 
 
-@pytest.mark.parametrize("excitation", EVERY, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("excitation", EVERY, ids=lambda signal: type(signal).__name__)
 def test_every_excitation_is_drawn_from_its_seed(excitation: Excitation) -> None:
     first = excitation.with_seed(7)
     assert np.array_equal(first.draw(2), first.draw(2))
@@ -244,21 +244,23 @@ def test_inputs_can_be_excited_in_different_ways() -> None:
 
 
 def test_all_that_is_wrong_with_signals_and_parts_is_told_at_once() -> None:
-    with pytest.raises(ConfigError) as found:
+    with pytest.raises(ConfigError) as caught:
         SignalExcitation(3.0, "4", None)
-    assert list(found.value.faults) == [
+    assert list(caught.value.faults) == [
         "excitation: samples = '4' is not possible; needed: an integer",
         "excitation: sampling_time = None is not possible; needed: a number",
         "excitation: signals = 3.0 is not possible; needed: a sequence of signals",
     ]
-    with pytest.raises(ConfigError) as found:
+    with pytest.raises(ConfigError) as caught:
         SignalExcitation([Steps((0.0,), (1.0,)), 5.0], 0, -0.1)
-    assert len(found.value.faults) == 3
+    assert len(caught.value.faults) == 3
     part = (UniformRandom(-1.0, 1.0, 4), np.array([0]))
-    with pytest.raises(ConfigError) as found:
+    with pytest.raises(ConfigError) as caught:
         MixedExcitation([part, (part[0], ["u"]), part[0], (None, (0,)), 1])
-    assert len(found.value.faults) == 4
-    assert all("needed: an excitation and the numbers of the inputs" in fault for fault in found.value.faults)
+    assert len(caught.value.faults) == 4
+    assert all(
+        "needed: an excitation and the numbers of the inputs" in fault for fault in caught.value.faults
+    )
     with pytest.raises(ConfigError, match="mixed excitation: None is not possible"):
         MixedExcitation(None)
 

@@ -67,7 +67,7 @@ def start_and_wait(folder: Path, command: list[str], environment: dict[str, str]
 
 
 @pytest.mark.parametrize(
-    ("request_to_end", "to_the_group", "exit_code", "told", "spawns"),
+    ("request_to_end", "to_the_group", "exit_code", "ending", "spawns"),
     [
         (signal.SIGINT, True, 130, "interrupted", False),
         (signal.SIGINT, False, 130, "interrupted", False),
@@ -83,7 +83,7 @@ def test_an_interrupted_run_goes_on(
     request_to_end: signal.Signals,
     to_the_group: bool,
     exit_code: int,
-    told: str | None,
+    ending: str | None,
     spawns: bool,
     write_study: WriteStudy,
     tmp_path: Path,
@@ -104,11 +104,11 @@ def test_an_interrupted_run_goes_on(
     # The pipe ends when the last process that holds it has ended: no worker is left behind.
     rest = process.communicate(timeout=60)[1]
     assert process.returncode == exit_code, rest
-    if told:
-        assert f"{told}: finished cases are kept; the same command goes on from there" in rest
+    if ending:
+        assert f"{ending}: finished cases are kept; the same command goes on from there" in rest
     assert "Traceback" not in rest
     assert family.wait(60.0) == []
-    if not told:  # as the next run does
+    if not ending:  # as the next run does
         remove_left_behind(tmp_path / "scratch")
         remove_left_behind(tmp_path / "out/cases", ".staging-")
     assert list((tmp_path / "scratch").iterdir()) == []
@@ -228,10 +228,10 @@ def test_simulate_keeps_what_was_simulated(tmp_path: Path, program: str) -> None
     assert select.select([reader], [], [], 60.0)[0], "it has not begun"
     os.close(reader)
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 130, told
-    assert "slow:Slow: interrupted: 5 of 11 samples, to t = 0.4 s" in told
-    assert "Traceback" not in told
+    _, output = process.communicate(timeout=60)
+    assert process.returncode == 130, output
+    assert "slow:Slow: interrupted: 5 of 11 samples, to t = 0.4 s" in output
+    assert "Traceback" not in output
     lines = (tmp_path / "part.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "time [s],y [1],outcome"
     assert lines[-1] == "0.4,4.0,interrupted"

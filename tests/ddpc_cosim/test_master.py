@@ -554,6 +554,6 @@ assert seen == [{1}] * 7, seen
 
 def test_linear_algebra_has_one_thread_during_a_run_as_in_a_worker() -> None:
     """And as many as before afterwards, also where the run has failed: the process is the caller's."""
-    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    done = subprocess.run([sys.executable, "-c", THREADS], env=own, capture_output=True, text=True)
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

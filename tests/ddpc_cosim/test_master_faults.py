@@ -122,7 +122,7 @@ def test_a_controller_that_fails_ends_the_run_and_its_samples_are_kept(answer: A
 
 
 def test_a_plant_that_diverges_ends_the_run(recwarn: pytest.WarningsRecorder) -> None:
-    """Signals that nobody measures count too: the plant is not where its equations say it is."""
+    """Signals that are not measured count too: the plant is not where its equations say it is."""
     trace = close_loop(Answering(third=np.array([0.5])), duration=100.0)
     assert trace.outcome is Outcome.DIVERGED
     assert trace.reason == "output b is inf at t = 14 s"
@@ -209,8 +209,8 @@ def test_what_does_not_fit_is_refused(settings: dict[str, Any], faults: list[str
     with pytest.raises(ConfigError) as caught:
         close_loop(Answering(), **settings)
     assert len(caught.value.faults) == len(faults)
-    for found, expected in zip(caught.value.faults, faults, strict=True):
-        assert expected in found
+    for fault, expected in zip(caught.value.faults, faults, strict=True):
+        assert expected in fault
 
 
 def test_a_controller_that_learns_from_a_recording_needs_one() -> None:

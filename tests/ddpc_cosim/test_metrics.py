@@ -253,7 +253,7 @@ def test_the_end_of_a_ramp_is_no_step() -> None:
     trace = trace_of(reference, y)
     assert math.isnan(figure(trace, "overshoot"))
     assert figure(trace, "settled_error") == pytest.approx(float(np.mean(1.0 - np.array(y)[46:50])))
-    (end,) = [end for one in trace.tracking() for end in one.ends if end.error > 0.0]
+    (end,) = [end for tracking in trace.tracking() for end in tracking.ends if end.error > 0.0]
     assert end.step == 0.0
 
 
@@ -261,14 +261,14 @@ def test_a_rounding_error_of_the_reference_is_no_step() -> None:
     reference = np.repeat([0.3, 0.1 + 0.2, 1.0, 0.7 + 0.3 - 1e-16], 20)
     trace = trace_of([*reference, 0.0], [*np.repeat([0.3, 0.3, 1.0, 1.0], 20), 0.0])
     assert figure(trace, "overshoot") == pytest.approx(0.0, abs=1e-9)
-    assert [end.step for one in trace.tracking() for end in one.ends] == [0.0, pytest.approx(0.7)]
+    assert [end.step for tracking in trace.tracking() for end in tracking.ends] == [0.0, pytest.approx(0.7)]
 
 
 def test_values_of_any_size_do_not_warn() -> None:
     y = np.repeat([0.0, 1e308], 20)
     y[30:] *= -1
-    (one,) = stepping(0, 1, y=y).tracking()
-    assert one.deviation == 1e308
+    (tracking,) = stepping(0, 1, y=y).tracking()
+    assert tracking.deviation == 1e308
 
 
 def test_an_output_whose_reference_stays_has_no_steps_of_the_other_one() -> None:
@@ -292,25 +292,25 @@ def test_what_drifts_before_its_controller_knows_of_the_step_does_not_anticipate
 
 
 def test_what_a_run_is_judged_by_is_taken_at_the_end_of_each_stretch() -> None:
-    """Of 20 rows the last 4; the first stretch begins where the output is, and is no step to settle after."""
+    """Of 20 rows the last 4; the first stretch begins where the output is: not a step to settle after."""
     y = np.repeat([0.0, 0.51, 2.0], 20)
     y[30] = 4.0
-    (one,) = stepping(0, 1, 2, y=y).tracking()
-    assert (one.output, one.travel, one.deviation) == ("y", 2.0, 4.0)
-    assert [(end.rows, end.step, end.settling) for end in one.ends] == [
+    (tracking,) = stepping(0, 1, 2, y=y).tracking()
+    assert (tracking.output, tracking.travel, tracking.deviation) == ("y", 2.0, 4.0)
+    assert [(end.rows, end.step, end.settling) for end in tracking.ends] == [
         (4, 0.0, False),
         (4, 1.0, True),
         (4, 1.0, True),
     ]
-    assert [end.magnitude for end in one.ends] == pytest.approx([0.0, 0.49, 0.0])
-    assert one.mean_abs_error == pytest.approx((19 * 0.49 + 3.0) / 60)
+    assert [end.magnitude for end in tracking.ends] == pytest.approx([0.0, 0.49, 0.0])
+    assert tracking.mean_abs_error == pytest.approx((19 * 0.49 + 3.0) / 60)
 
 
 def test_an_output_that_is_not_a_number_is_infinitely_far() -> None:
     y = np.repeat([0.0, 2.0], 20)
     y[35:] = NAN
-    (one,) = stepping(0, 2, y=y).tracking()
-    assert math.isnan(one.ends[-1].magnitude)
+    (tracking,) = stepping(0, 2, y=y).tracking()
+    assert math.isnan(tracking.ends[-1].magnitude)
 
 
 def test_the_quadratic_cost_by_hand() -> None:

@@ -35,9 +35,9 @@ def test_a_path_is_too_long_by_what_has_to_go(folders: list[str], files: list[st
     root = PureWindowsPath("C:\\", *folders)
     paths = [root / name for name in files]
     needed = max(*(units(path) - 259 for path in paths), units(root) - 247)
-    found = longest_excess(paths)
-    assert (found.characters if found else 0) == max(needed, 0)
-    assert found is None or found.path in paths
+    excess = longest_excess(paths)
+    assert (excess.characters if excess else 0) == max(needed, 0)
+    assert excess is None or excess.path in paths
 
 
 def test_at_the_limits() -> None:
@@ -66,10 +66,10 @@ type = "idle"
 
 def test_what_a_case_adds_to_the_folder_of_results_is_bounded(tmp_path: Path) -> None:
     """Whatever problems, scenarios and controllers are called, a folder of 118 characters will do."""
-    one, other = 59 * "c" + "1", 59 * "c" + "2"
+    first, other = 59 * "c" + "1", 59 * "c" + "2"
     named = LONG.replace("PROBLEM", 60 * "p").replace("SCENARIO", 60 * "s")
     path = tmp_path / "long.toml"
-    path.write_text(named.replace("ONE", one).replace("OTHER", other), encoding="utf-8")
+    path.write_text(named.replace("ONE", first).replace("OTHER", other), encoding="utf-8")
     resolved = read_study(str(path))
     problems = {name: (problem, problem.plant.built()) for name, problem in resolved.problems.items()}
     cases = cases_of_problems(problems, [0, 10**18])
@@ -78,9 +78,9 @@ def test_what_a_case_adds_to_the_folder_of_results_is_bounded(tmp_path: Path) ->
     assert {len(name) for name in ids} == {91}
     root = PureWindowsPath("C:\\" + 115 * "r")
     assert longest_excess(longest_files(root / "cases", ids)) is None
-    found = longest_excess(longest_files(PureWindowsPath(f"{root}r") / "cases", ids))
-    assert found is not None
-    assert found.characters == 1
+    excess = longest_excess(longest_files(PureWindowsPath(f"{root}r") / "cases", ids))
+    assert excess is not None
+    assert excess.characters == 1
 
 
 TOO_LONG = r"(\d+) characters longer than Windows allows"
@@ -105,7 +105,9 @@ def test_files_of_a_run_are_no_longer_than_was_foreseen(write_study: WriteStudy,
     (case,) = results.cases
     assert case.trace().info["temporary"].tolist() == 11 * [len(str(scratch_of_cases().parent))]
     cases = results.folder / "cases"
-    longest = max(len(str(file)) for file in longest_files(cases, [one.name for one in cases.iterdir()]))
+    longest = max(
+        len(str(file)) for file in longest_files(cases, [folder.name for folder in cases.iterdir()])
+    )
     assert all(len(str(file)) < longest for file in cases.rglob("*"))
     with FMUPlant(next(path.parent.glob("*.fmu"))) as plant:
         assert len(plant._scratch.path.name) == len(scratch_of_cases().name)
@@ -117,13 +119,13 @@ def test_a_folder_of_results_that_is_too_long_is_refused_before_the_first_case(
     monkeypatch.setattr(runner, "are_limited", lambda: True)
     path, above = write_study("mfapc"), tmp_path / "above"
     above.mkdir()
-    with pytest.raises(ConfigError, match=TOO_LONG) as told:
+    with pytest.raises(ConfigError, match=TOO_LONG) as caught:
         run_file(path, above / (150 * "o"))
     assert not [*above.rglob("cases")]
-    assert "give a folder whose path is that much shorter (--out), or allow long paths" in str(told.value)
-    found = re.search(TOO_LONG, str(told.value))
-    assert found
-    room = 150 - int(found[1])
+    assert "give a folder whose path is that much shorter (--out), or allow long paths" in str(caught.value)
+    match = re.search(TOO_LONG, str(caught.value))
+    assert match
+    room = 150 - int(match[1])
     with pytest.raises(ConfigError, match=" 1 characters longer"):
         run_file(path, above / ((room + 1) * "o"))
     assert len(run_file(path, above / (room * "o")).cases) == 1

@@ -16,12 +16,12 @@ def test_every_public_name_is_there(name: str) -> None:
 @pytest.mark.parametrize("module", [errors, signals])
 def test_errors_and_signals_are_public(module: object) -> None:
     """An error can be handled by its name, and a reference of one's own can be written."""
-    own = [
+    names = [
         name
         for name, value in inspect.getmembers(module, inspect.isclass)
         if value.__module__ == module.__name__ and not name.startswith("_")  # type: ignore[attr-defined]
     ]
-    assert set(own) <= set(ddpc_cosim.__all__)
+    assert set(names) <= set(ddpc_cosim.__all__)
 
 
 def test_what_the_contracts_exchange_is_public() -> None:

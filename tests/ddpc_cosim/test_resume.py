@@ -249,9 +249,9 @@ def test_damage_to_any_byte_is_noticed_and_only_that_case_run_again(
         place, other = rng.integers(len(content)), bytes([rng.integers(256)])
         for damaged in (content[:place], content[:place] + other + content[place + 1 :]):
             path.write_bytes(damaged)
-            found = load_results(results.folder)
-            assert damaged == content or list(found.damaged) == [path.parent.name]
-            assert {case.id for case in found.cases} == sound - set(found.damaged)
+            loaded = load_results(results.folder)
+            assert damaged == content or list(loaded.damaged) == [path.parent.name]
+            assert {case.id for case in loaded.cases} == sound - set(loaded.damaged)
         path.write_bytes(content)
     damaged = next(path for path in files if path.parent.name.startswith("mfapc_"))
     damaged.unlink()
@@ -306,13 +306,13 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
 
     done = run_program(*arguments, TMPDIR=str(scratch))
     assert done.returncode == 1
-    found = {
+    outcomes = {
         run["controller"]: (run["outcome"], run["reason"])
         for run in (json.loads(p.read_text(encoding="utf-8")) for p in tmp_path.glob("out/cases/*/run.json"))
     }
     segfault, kill = (f"{number.name} ({signal.strsignal(number)})" for number in (SIGSEGV, SIGKILL))
     died = "crashed in step at t = 0.3 s: "
-    assert found == {
+    assert outcomes == {
         "exits": ("crashed", f"controller deadly:Exits: {died}its process ended with exit code 3"),
         "segfaults": ("crashed", f"controller deadly:Segfaults: {died}{segfault}"),
         "killed": ("crashed", f"controller deadly:Killed: {died}{kill}"),
@@ -382,9 +382,9 @@ def test_whatever_a_controller_raises_costs_its_case_and_no_other(
     write_study("leaving:Interrupts", "leaving:Leaves", "leaving:Strange", "mfapc")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
-    found = {case.controller: (case.outcome, case.reason) for case in load_results(tmp_path / "out").cases}
+    outcomes = {case.controller: (case.outcome, case.reason) for case in load_results(tmp_path / "out").cases}
     early = "before the first sample: "
-    assert found == {
+    assert outcomes == {
         "interrupts": ("crashed", "KeyboardInterrupt"),
         "leaves": ("controller-error", f"{early}Leaves.start raised SystemExit: 3"),
         "strange": ("controller-error", f"{early}Strange.start raised Odd: strange"),

@@ -109,8 +109,8 @@ def test_each_input_has_its_own_range() -> None:
 def test_impossible_signals_are_refused(make: "type[Steps]", faults: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
         make()  # type: ignore[call-arg]
-    for found, expected in zip(caught.value.faults, faults, strict=True):
-        assert expected in found
+    for fault, expected in zip(caught.value.faults, faults, strict=True):
+        assert expected in fault
 
 
 @pytest.mark.parametrize(

@@ -106,17 +106,17 @@ def write_failing(write_study: WriteStudy, tmp_path: Path) -> WriteStudy:
     return write
 
 
-def told(results: StudyResults) -> dict[str, dict[str, Any]]:
+def content(results: StudyResults) -> dict[str, dict[str, Any]]:
     """Return all that is told of each case, but for what depends on the clock."""
-    found = {}
+    by_case = {}
     for case in (*results.cases, *results.resting):
-        trace = {one.name: getattr(case.trace(), one.name) for one in fields(case.trace())}
+        trace = {field.name: getattr(case.trace(), field.name) for field in fields(case.trace())}
         del trace["solve_time"]
         facts = read_run(case.folder)
         del facts["wall_time"], facts["signals"]
-        facts["metrics"] = {key: one for key, one in facts["metrics"].items() if "solve_time" not in key}
-        found[case.id] = {key: repr(value) for key, value in (trace | facts).items()}
-    return found
+        facts["metrics"] = {key: value for key, value in facts["metrics"].items() if "solve_time" not in key}
+        by_case[case.id] = {key: repr(value) for key, value in (trace | facts).items()}
+    return by_case
 
 
 def test_only_systems_on_which_it_was_tested_fork() -> None:
@@ -135,8 +135,8 @@ def test_results_are_those_of_forked_workers_and_one_interpreter_runs_all_cases(
         patch.setattr(spawning, "forks", lambda: True)
         forked = run_file(path, "forked", jobs=2)
     assert len(started) == 1
-    assert len(told(spawned)) == 8
-    assert told(spawned) == told(forked)
+    assert len(content(spawned)) == 8
+    assert content(spawned) == content(forked)
 
 
 # In a worker that is used again, those that work are followed by those that end it or do not return.
@@ -196,9 +196,9 @@ def test_a_case_does_not_begin_where_the_last_one_was(
     path.write_text(path.read_text(encoding="utf-8").replace("[0]", "[0, 1, 2]"), encoding="utf-8")
     (folder := tmp_path / "cases").mkdir()
     for case in run_cases(cases_in(path), folder, 1):
-        told = read_run(folder / case.id)
-        assert told["outcome"] == "completed", told["reason"]
-        assert told["left"] == {"left": 0}
+        run = read_run(folder / case.id)
+        assert run["outcome"] == "completed", run["reason"]
+        assert run["left"] == {"left": 0}
         if sys.platform == "linux":
             process = Path(f"/proc/{started[0].pid}")
             held = [str(entry.readlink()) for entry in (process / "cwd", *(process / "fd").iterdir())]
@@ -219,7 +219,7 @@ def test_which_cases_leave_nothing_behind(tmp_path: Path, write_failing: WriteSt
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "own"),
+    ("kind", "name", "is_local"),
     [
         ("controllers", "deepc", True),
         ("controllers", "ddpc_controllers:Polynomials", True),
@@ -229,8 +229,8 @@ def test_which_cases_leave_nothing_behind(tmp_path: Path, write_failing: WriteSt
         ("plants", "pendulum", True),
     ],
 )
-def test_whose_a_plug_in_is(kind: str, name: str, own: bool) -> None:
-    assert is_own(kind, name) is own
+def test_whose_a_plug_in_is(kind: str, name: str, is_local: bool) -> None:
+    assert is_own(kind, name) is is_local
 
 
 @pytest.mark.parametrize("fault", [Fault.NO_FAULT, Fault.CALL_ABORT])

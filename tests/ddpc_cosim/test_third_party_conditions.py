@@ -97,8 +97,8 @@ def run_script(site: Path) -> list[list[list[str]]]:
     command = [sys.executable, "script.py"]
     done = subprocess.run(command, cwd=site, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    found: list[list[list[str]]] = json.loads(done.stdout)
-    return found
+    tables: list[list[list[str]]] = json.loads(done.stdout)
+    return tables
 
 
 def test_it_is_applied_and_told_and_missed_where_it_is_not_installed_any_more(

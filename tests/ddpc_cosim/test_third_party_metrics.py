@@ -144,10 +144,10 @@ def test_those_that_fail_cost_their_values_and_are_told(site: Path, run: Run) ->
     result = run("--no-report")
     assert [(row["mine [1]"], row["other [1]"]) for row in rows(site)] == [("", "")] * 2
     assert all(float(row["energy [J]"]) > 0 for row in rows(site))
-    told = ("metric mine: ValueError: no such signal", "metric other: SystemExit: 3")
-    assert [result.stderr.count(text) for text in told] == [1, 1]
+    messages = ("metric mine: ValueError: no such signal", "metric other: SystemExit: 3")
+    assert [result.stderr.count(text) for text in messages] == [1, 1]
     for case in load_results(site / "out").cases:
-        assert case.warnings == told
+        assert case.warnings == messages
         assert case.trace().y[-1, 0] > 0.7
 
 
@@ -163,11 +163,11 @@ WRONG = {
 
 def test_what_is_no_metric_is_told_and_listed_as_broken(site: Path, run: Run, run_program: Run) -> None:
     install(site, **{name: target for name, (target, _) in WRONG.items()})
-    told = run("--no-report").stderr
+    stderr = run("--no-report").stderr
     listed = run_program("list", "metrics", COLUMNS="200")
     assert listed.returncode == 1
     for name, (_, reason) in WRONG.items():
-        assert f"metric {name} (measures 1.2): {reason}" in told
+        assert f"metric {name} (measures 1.2): {reason}" in stderr
         assert f"broken: {reason}" in listed.stdout
 
 

@@ -38,7 +38,7 @@ def read_case(folder: Path) -> tuple[dict[str, Any], dict[str, list[float]]]:
 def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Step]:
     """Return the stretches whose windows [first, end - preview) hold five samples or more."""
     begins = [0, *(k for k in range(1, len(r)) if r[k] != r[k - 1])]
-    found = []
+    stretches = []
     for n, (first, end) in enumerate(zip(begins, [*begins[1:], len(r)], strict=True)):
         last = end - preview
         if end - first < 3 or last - first < 5:
@@ -56,7 +56,7 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
         below = [k for k in range(max(first - preview, 0), there[0]) if share[k] <= 0.1] if there else []
         outside = [k for k in range(first, last) if abs(share[k] - 1) > 0.05]
         arrived = outside[-1] + 1 if outside else first
-        found.append(
+        stretches.append(
             Step(
                 first,
                 end,
@@ -67,20 +67,20 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
                 (arrived - first) * h if arrived < last else NAN,
             )
         )
-    return found
+    return stretches
 
 
 @lru_cache(maxsize=1)
 def outputs_of(folder: Path, preview: int) -> dict[str, tuple[dict[str, Any], list[Step], list[float]]]:
     """Return each controlled output with its steps and its errors, all in its own unit."""
     run, columns = read_case(folder)
-    found = {}
+    outputs = {}
     for output in run["outputs"]:
         header = f"{output['name']} [{output['unit'] or '1'}]"
         r, y = columns[f"reference {header}"][:-1], columns[header][:-1]
         errors = [a - b for a, b in zip(r, y, strict=True)]
-        found[output["name"]] = (output, steps_of(r, y, preview, run["sampling_time"]), errors)
-    return found
+        outputs[output["name"]] = (output, steps_of(r, y, preview, run["sampling_time"]), errors)
+    return outputs
 
 
 def figures_of(folder: Path, preview: int) -> dict[str, float]:
@@ -93,8 +93,8 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
         table |= {
             f"mean_abs_error.{name} [{unit}]": factor * math.fsum(map(abs, errors)) / len(errors),
             f"rmse.{name} [{unit}]": factor * math.sqrt(math.fsum(e * e for e in errors) / len(errors)),
-            f"settled_error.{name} [{unit}]": factor * worst([one.settled for one in stretches]),
-            f"settled_share.{name} [%]": worst([100 * one.settled / abs(one.size) for one in steps]),
+            f"settled_error.{name} [{unit}]": factor * worst([stretch.settled for stretch in stretches]),
+            f"settled_share.{name} [%]": worst([100 * step.settled / abs(step.size) for step in steps]),
             f"overshoot.{name} [%]": worst([step.overshoot for step in steps]),
             f"rise_time.{name} [s]": middle([step.rise for step in steps]),
             f"settling_time.{name} [s]": worst([step.settling for step in steps]),
@@ -121,7 +121,7 @@ class Ends(NamedTuple):
 
 def verdict(folder: Path, preview: int) -> Verdict:
     """Return whether a run failed and whether it settles, from its samples and those of doing nothing."""
-    run, own = _judged_by(folder)
+    run, driven = _judged_by(folder)
     if run["outcome"] != "completed":
         return Verdict(True, False)
     resting, rest = _judged_by(resting_folder(folder))
@@ -130,12 +130,12 @@ def verdict(folder: Path, preview: int) -> Verdict:
     scenario = study["scenarios"][run["scenario"]]
     far, left, worse, alone = False, list[float](), list[float](), list[float]()
     for i, output in enumerate(run["outputs"]):
-        r, y = own[output["name"]]
+        r, y = driven[output["name"]]
         _, nothing = rest[output["name"]]
         travel = span([*r, y[0]])
         if min(r) == max(r) and at_rest(travel, [*r, *y]):
             travel = 0.0
-        goes = max(abs(one - nothing[0]) for one in nothing) if rests else 0.0
+        goes = max(abs(error - nothing[0]) for error in nothing) if rests else 0.0
         goes = 0.0 if at_rest(goes, [*r, *nothing]) else goes
         moves = max(travel, goes if min(r) == max(r) else min(goes, 3 * travel))
         width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
@@ -177,12 +177,12 @@ def scatter(y: list[float]) -> float:
     if len(y) < 10 or not span(y):
         return 0.0
     x = np.array(y) - fmean(y)
-    told = np.column_stack([np.ones(len(x) - 2), x[1:-1], np.diff(x)[:-1]])
+    regressors = np.column_stack([np.ones(len(x) - 2), x[1:-1], np.diff(x)[:-1]])
     # A prediction that is exact up to rounding misses by next to nothing, whatever the columns' rank.
-    coefficients, *_ = np.linalg.lstsq(told / span(y), x[2:])
-    missed = sorted(map(abs, (x[2:] - told @ coefficients / span(y)).tolist()))
+    coefficients, *_ = np.linalg.lstsq(regressors / span(y), x[2:])
+    missed = sorted(map(abs, (x[2:] - regressors @ coefficients / span(y)).tolist()))
     kept = missed[: len(missed) - math.ceil(0.05 * len(missed))]
-    return 1.148 * math.sqrt(math.fsum(one**2 for one in kept) / (len(kept) - 3))
+    return 1.148 * math.sqrt(math.fsum(error**2 for error in kept) / (len(kept) - 3))
 
 
 def ends_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ends]:
@@ -190,15 +190,15 @@ def ends_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ends
     stretches = steps_of(r, y, preview, h)
     if not stretches:
         return [_end(r, y, range(len(r) - max(round(len(r) / 5), 1), len(r)), 0.0, settling=False)]
-    steps_nowhere = all(math.isnan(one.size) for one in stretches)
-    found = []
-    for one in stretches:
-        last = one.end - preview
+    steps_nowhere = all(math.isnan(stretch.size) for stretch in stretches)
+    ends = []
+    for stretch in stretches:
+        last = stretch.end - preview
         # A run may begin away from its reference: that is no step of it.
-        step = 0.0 if one.first == 0 or math.isnan(one.size) else one.size
-        tail = range(last - round((last - one.first) / 5), last)
-        found.append(_end(r, y, tail, step, settling=steps_nowhere or not math.isnan(one.size)))
-    return found
+        step = 0.0 if stretch.first == 0 or math.isnan(stretch.size) else stretch.size
+        tail = range(last - round((last - stretch.first) / 5), last)
+        ends.append(_end(r, y, tail, step, settling=steps_nowhere or not math.isnan(stretch.size)))
+    return ends
 
 
 def _end(r: list[float], y: list[float], tail: range, step: float, *, settling: bool) -> Ends:
@@ -230,11 +230,11 @@ def resting_folder(folder: Path) -> Path:
 
 @lru_cache(maxsize=4)
 def _resting(cases: Path) -> dict[tuple[str, int], Path]:
-    found = {}
+    folders = {}
     for folder in cases.glob("*doing-nothing_*"):
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-        found[run["scenario"], run["seed"]] = folder
-    return found
+        folders[run["scenario"], run["seed"]] = folder
+    return folders
 
 
 def worst(values: list[float]) -> float:

@@ -29,15 +29,15 @@ def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -
     assert len(study.problems) >= 10
     assert study.head.seeds == [*range(20)]
     budgets = set()
-    for one in study.problems.values():
-        assert list(one.study.scenarios) == SCENARIOS
-        assert set(one.study.controllers) == set(study.problems["pendulum"].study.controllers)
-        assert one.study.source
-        for name, section in one.study.controllers.items():
+    for problem in study.problems.values():
+        assert list(problem.study.scenarios) == SCENARIOS
+        assert set(problem.study.controllers) == set(study.problems["pendulum"].study.controllers)
+        assert problem.study.source
+        for name, section in problem.study.controllers.items():
             if name == "idle":
                 assert section.tuned is None
                 continue
-            assert section.tuned is not None, (one.study.name, name)
+            assert section.tuned is not None, (problem.study.name, name)
             assert section.tuned.settings
             budgets.add((section.tuned.trials, *section.tuned.seeds, section.tuned.by, section.tuned.source))
     assert len(budgets) == 1
@@ -65,8 +65,8 @@ def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
     assert len(shares) == sum(controller not in POINTS for _, controller, _ in errors)
     for row in shares.itertuples():
         signal = row.metric.partition(".")[2].partition(" [")[0]
-        zero, full, own = (errors[row.problem, name, signal] for name in ("idle", "nmpc", row.controller))
-        assert row.share == pytest.approx((zero - own) / (zero - full), rel=1e-9) or row.failed
+        zero, full, actual = (errors[row.problem, name, signal] for name in ("idle", "nmpc", row.controller))
+        assert row.share == pytest.approx((zero - actual) / (zero - full), rel=1e-9) or row.failed
 
 
 @pytest.mark.slow
@@ -88,7 +88,7 @@ def test_what_the_summary_says_holds_without_noise_too(nominal: StudyResults) ->
     assert without == {"ipid", "spsa", "mfapc", "mfac"}
     assert max(without, key=medians.__getitem__) == "ipid"
     failed = {
-        (one.controller, one.problem) for one in nominal.cases if one.failed and one.controller != "idle"
+        (case.controller, case.problem) for case in nominal.cases if case.failed and case.controller != "idle"
     }
     on_the_boiler = {(name, "boiler-turbine") for name in ("pid", "spsa", "mfac")}
     assert failed == {*on_the_boiler, ("mfapc", "van-der-pol")}

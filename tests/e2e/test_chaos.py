@@ -248,11 +248,11 @@ def write_study(folder: Path, isolated: str | bool) -> tuple[dict[str, str], dic
     controllers, scenarios, outcomes, names, faults = {}, {}, {}, {}, iter(FAULTS.items())
     numbered = [*(f"faulty-{k}" for k in range(1, 16)), *(f"good-{k}" for k in range(16, SCENARIOS + 1))]
     for i in range(CONTROLLERS):
-        own = dict(islice(faults, EACH))
-        controllers[f"c{i}"] = {"type": "chaos:Chaos", "settings": {"faults": [*own]}}
+        faults_here = dict(islice(faults, EACH))
+        controllers[f"c{i}"] = {"type": "chaos:Chaos", "settings": {"faults": [*faults_here]}}
         cases = [f"c{i}_{scenario}_seed0" for scenario in numbered]
-        outcomes |= dict(zip(cases, [*own.values(), *EARLY.values()], strict=False))
-        names |= dict(zip(cases, own, strict=False))
+        outcomes |= dict(zip(cases, [*faults_here.values(), *EARLY.values()], strict=False))
+        names |= dict(zip(cases, faults_here, strict=False))
     early = {f"faulty-{EACH + n}": int(fault) for n, fault in enumerate(EARLY, 1)}
     # Good ones run beside faulty ones.
     for k in np.random.default_rng(0).permutation(SCENARIOS):
@@ -337,12 +337,12 @@ def test_what_goes_wrong_costs_itself_and_nothing_else(isolated: str | bool, tmp
 
     results = load_results(tmp_path / "out")
     assert (len(results.cases), len(wrong), results.damaged) == (CONTROLLERS * SCENARIOS, 60, {})
-    found = {name_of(case): case.outcome for case in results.cases}
+    outcomes = {name_of(case): case.outcome for case in results.cases}
     # The limit of memory or processes, or that of time, whichever is reached first.
-    limited = {name: found[name] for name, fault in faults.items() if fault in ("grows", "multiplies")}
+    limited = {name: outcomes[name] for name, fault in faults.items() if fault in ("grows", "multiplies")}
     assert set(limited.values()) <= {"crashed", "timed-out"}
-    assert found == {**dict.fromkeys(found, "completed"), **wrong, **limited}
-    assert len((tmp_path / "out/metrics.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(found)
+    assert outcomes == {**dict.fromkeys(outcomes, "completed"), **wrong, **limited}
+    assert len((tmp_path / "out/metrics.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(outcomes)
     assert "</html>" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
     written = [path.stat().st_size for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert sum(written) < 1e7

@@ -43,8 +43,8 @@ def figure(name: str) -> Callable[[CaseResult], float]:
     """Return what computes a figure of the response from the files of a case."""
 
     def of(case: CaseResult) -> float:
-        found = figures_of(case.folder, HORIZON)
-        return next(value for key, value in found.items() if key.startswith(f"{name}."))
+        figures = figures_of(case.folder, HORIZON)
+        return next(value for key, value in figures.items() if key.startswith(f"{name}."))
 
     return of
 
@@ -76,18 +76,18 @@ def of_each(results: StudyResults, scenario: str, figure: Callable[[CaseResult],
     return {controller: by_seed(results, controller, scenario, figure) for controller in METHODS}
 
 
-def below(one: dict[int, float], other: dict[int, float]) -> int:
+def below(errors: dict[int, float], other: dict[int, float]) -> int:
     """Return on how many seeds one is below the other."""
-    return sum(one[seed] < other[seed] for seed in one)
+    return sum(errors[seed] < other[seed] for seed in errors)
 
 
 @pytest.mark.parametrize("scenario", ["preview", "no-preview"])
 def test_on_every_seed_mfapc_changes_its_input_least_and_wkpc_most(
     claims: StudyResults, scenario: str
 ) -> None:
-    found = of_each(claims, scenario, rms_change)
-    assert below(found["mfapc"], found["deepc"]) == 11
-    assert below(found["deepc"], found["wkpc"]) == 11
+    changes = of_each(claims, scenario, rms_change)
+    assert below(changes["mfapc"], changes["deepc"]) == 11
+    assert below(changes["deepc"], changes["wkpc"]) == 11
 
 
 @pytest.mark.parametrize("scenario", ["preview", "no-preview"])
@@ -103,9 +103,9 @@ def test_on_every_seed_wkpc_overshoots_most_and_rises_first(claims: StudyResults
 
 @pytest.mark.parametrize("scenario", ["preview", "no-preview"])
 def test_on_every_seed_the_error_of_mfapc_alone_vanishes(claims: StudyResults, scenario: str) -> None:
-    found = of_each(claims, scenario, figure("settled_error"))
-    assert max(found["mfapc"].values()) < 0.01
-    assert min(*found["deepc"].values(), *found["wkpc"].values()) > 0.2
+    errors = of_each(claims, scenario, figure("settled_error"))
+    assert max(errors["mfapc"].values()) < 0.01
+    assert min(*errors["deepc"].values(), *errors["wkpc"].values()) > 0.2
 
 
 def test_the_figures_of_the_paper_s_data_are_those_of_the_summary(claims: StudyResults) -> None:
@@ -113,11 +113,11 @@ def test_the_figures_of_the_paper_s_data_are_those_of_the_summary(claims: StudyR
         of_each(claims, "preview", rms_change),
         of_each(claims, "preview", figure("settled_error")),
     )
-    told = claims.study.summary
+    summary = claims.study.summary
     rms = [f"{changes[name][5489]:.3f}" for name in METHODS]
     ends = [f"{settled[name][5489]:.2g}" for name in METHODS]
-    assert f"is {rms[0]}, {rms[1]} and {rms[2]} N m with MFAPC, DeePC and WKPC" in told
-    assert f"settled error {ends[0]}, {ends[1]} and {ends[2]} degrees" in told
+    assert f"is {rms[0]}, {rms[1]} and {rms[2]} N m with MFAPC, DeePC and WKPC" in summary
+    assert f"settled error {ends[0]}, {ends[1]} and {ends[2]} degrees" in summary
 
 
 def test_lambda_g_matters_as_much_as_the_summary_says(claims: StudyResults) -> None:
@@ -129,15 +129,15 @@ def test_lambda_g_matters_as_much_as_the_summary_says(claims: StudyResults) -> N
         assert below(five, fifty) == 10
         assert below(fifty, most) == 11
         if scenario == "preview":
-            told = f"to {five[5489]:.0f} degrees with 5, to {fifty[5489]:.0f} with the 50"
-            assert told in claims.study.summary
+            statement = f"to {five[5489]:.0f} degrees with 5, to {fifty[5489]:.0f} with the 50"
+            assert statement in claims.study.summary
             assert f"and to {most[5489]:.0f} with 500" in claims.study.summary
 
 
 def test_the_shortest_recordings_are_in_the_order_of_excitation(excitation: StudyResults) -> None:
     sections = {name: excitation.study.controllers[name] for name in METHODS}
-    built = {name: make_controller(one.type, one.settings) for name, one in sections.items()}
-    needed = {name: one.recording_length(1, 1, 2) for name, one in built.items()}
+    built = {name: make_controller(section.type, section.settings) for name, section in sections.items()}
+    needed = {name: controller.recording_length(1, 1, 2) for name, controller in built.items()}
     assert needed == {"mfapc": 0, "deepc": 21, "wkpc": 37}
     assert not built["mfapc"].uses_recording
 
@@ -151,7 +151,7 @@ def test_with_little_data_the_order_shows_and_with_much_it_turns(excitation: Stu
 def test_a_faint_excitation_needs_another_ridge(excitation: StudyResults) -> None:
     share = figure("settled_share")
     far_off = {
-        (name, scenario): sum(one > 50.0 for one in by_seed(excitation, name, scenario, share).values())
+        (name, scenario): sum(value > 50.0 for value in by_seed(excitation, name, scenario, share).values())
         for name in ("deepc", "wkpc", "deepc-lambda-5")
         for scenario in ("faint", "weak")
     }
@@ -173,23 +173,25 @@ def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(cl
     page = render_page([claims])
     section = page[page.index('id="s1-fairness"') :]
     section = section[: section.index("</section>")]
-    found = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", section, re.DOTALL)
-    told = [(topic, html.unescape(re.sub("<[^>]*>", "", text))) for topic, text in found]
-    labels = {name: one["label"] for name, one in study["controllers"].items() if name in METHODS}
+    pairs = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", section, re.DOTALL)
+    terms = [(topic, html.unescape(re.sub("<[^>]*>", "", text))) for topic, text in pairs]
+    labels = {
+        name: controller["label"] for name, controller in study["controllers"].items() if name in METHODS
+    }
     horizons = {study["controllers"][name]["settings"]["horizon"] for name in METHODS}
     (horizon,) = horizons
     ahead = {"preview": horizon, "no-preview": study["scenarios"]["no-preview"]["preview"]}
     h = study["loop"]["sampling_time"]
-    previews = [text for topic, text in told if topic == "Preview"]
+    previews = [text for topic, text in terms if topic == "Preview"]
     assert previews == [
         f"In {study['scenarios'][name]['label']}: All controllers see {samples} of the future reference "
         f"({n * h:.1f}\N{NO-BREAK SPACE}s)."
         for (name, n), samples in zip(ahead.items(), ("5 samples", "1 sample"), strict=True)
     ]
-    rest = {topic: text for topic, text in told if topic != "Preview"}
-    wide, own = study["controllers"]["wkpc"]["bounds"]["angle"], study["bounds"]["angle"]
+    rest = {topic: text for topic, text in terms if topic != "Preview"}
+    wide, narrow = study["controllers"]["wkpc"]["bounds"]["angle"], study["bounds"]["angle"]
     assert f"{labels['wkpc']} has \N{MINUS SIGN}{-wide['min']:.0f} … {wide['max']:.0f}°" in rest["Limits"]
-    assert f"have \N{MINUS SIGN}{-own['min']:.0f} … {own['max']:.0f}°" in rest["Limits"]
+    assert f"have \N{MINUS SIGN}{-narrow['min']:.0f} … {narrow['max']:.0f}°" in rest["Limits"]
     assert f"{labels['wkpc']} uses {', '.join(study['plant']['measurements'])}" in rest["Measurements"]
     learning = f"{labels['deepc']} and {labels['wkpc']} learn from a recording of"
     assert f"{learning} {study['recording']['samples']} samples" in rest["Recording"]

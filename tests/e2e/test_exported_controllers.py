@@ -33,7 +33,7 @@ REFUSED = {
 class Rounded:
     """A controller in Python whose measurements are rounded otherwise, in their last digit."""
 
-    status, told = 0, (0, 0, 0)
+    status, last_step = 0, (0, 0, 0)
 
     def __init__(self, controller: Controller, loop: Loop) -> None:
         self._controller, self._bounds = deepcopy(controller), loop.bounds
@@ -77,18 +77,18 @@ def distance(case: Case, kind: type[Beside]) -> float:
     if beside.difference < BOUND:
         assert not beside.disagreements
         return beside.difference
-    _, own = closed(case, kind, drives=True)
-    return min(beside.difference, float((np.abs(u - own) / beside.span).max()))
+    _, u_driven = closed(case, kind, drives=True)
+    return min(beside.difference, float((np.abs(u - u_driven) / beside.span).max()))
 
 
 def cases_of(study: str) -> list[Case]:
     """Return the cases of a study's first scenario and seed, of all its problems."""
-    resolved, found = read_study(study), list[Case]()
-    for name, one in resolved.problems.items():
-        of_problem = cases_of_problems({name: (one, one.plant.built())}, one.study.seeds[:1])
-        found += [case for case in of_problem if case.scenario == of_problem[0].scenario]
-    chosen = sorted(found, key=lambda case: case.section["type"])[:: -(-len(found) // MOST)]
-    assert {case.section["type"] for case in chosen} == {case.section["type"] for case in found}
+    resolved, cases_of_all = read_study(study), list[Case]()
+    for name, problem in resolved.problems.items():
+        of_problem = cases_of_problems({name: (problem, problem.plant.built())}, problem.study.seeds[:1])
+        cases_of_all += [case for case in of_problem if case.scenario == of_problem[0].scenario]
+    chosen = sorted(cases_of_all, key=lambda case: case.section["type"])[:: -(-len(cases_of_all) // MOST)]
+    assert {case.section["type"] for case in chosen} == {case.section["type"] for case in cases_of_all}
     return chosen
 
 

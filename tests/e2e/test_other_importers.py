@@ -112,8 +112,8 @@ def test_ssp_simulation_of_fmpy(study: str, name: str, tmp_path: Path) -> None:
         system=connectors(asked, "input"),
         parts=component("controller", [*measured, *asked], ["torque"])
         + component("plant", ["torque"], measured),
-        connections="".join(connection(one, f"controller:{one}") for one in asked)
-        + "".join(connection(f"plant:{one}", f"controller:{one}") for one in measured)
+        connections="".join(connection(output, f"controller:{output}") for output in asked)
+        + "".join(connection(f"plant:{output}", f"controller:{output}") for output in measured)
         + connection("controller:torque", "plant:torque"),
     )
     with zipfile.ZipFile(tmp_path / "loop.ssp", "w") as archive:
@@ -122,7 +122,10 @@ def test_ssp_simulation_of_fmpy(study: str, name: str, tmp_path: Path) -> None:
             archive.write(file, f"resources/{file.name}")
     time = np.arange(STEPS + len(asked) + 1) * TS
     values = reference.at(time)
-    given = {one: lambda t, ahead=ahead: values[round(t / TS) + ahead + 1] for ahead, one in enumerate(asked)}
+    given = {
+        variable: lambda t, ahead=ahead: values[round(t / TS) + ahead + 1]
+        for ahead, variable in enumerate(asked)
+    }
     result = simulate_ssp(str(tmp_path / "loop.ssp"), stop_time=(STEPS - 0.5) * TS, step_size=TS, input=given)
     assert len(result) == STEPS  # the row at t has what the step from t to t + h led to
     np.testing.assert_allclose(result["plant.angle"], expected.y[1:, 0], atol=TOLERANCE)
@@ -136,13 +139,13 @@ def test_parts_of_a_coupled_plant(name: str, tmp_path: Path) -> None:
     expected = run_here(case)
     plant = export_fmu(MODEL, tmp_path / "plant.fmu")
     controller, measured, asked = controller_fmu(case, tmp_path / "controller.fmu", "2.0")
-    connected = [Ours(f"plant.{one}", f"controller.{one}") for one in measured]
+    connected = [Ours(f"plant.{output}", f"controller.{output}") for output in measured]
     connected.append(Ours("controller.torque", "plant.torque"))
     for algorithm, extrapolation, step in product(get_args(Algorithm), get_args(Extrapolation), (TS, TS / 2)):
         with CoupledPlant(
             {"plant": FMUPlant(plant), "controller": FMUPlant(controller)},
             connected,
-            inputs=[f"controller.{one}" for one in asked],
+            inputs=[f"controller.{variable}" for variable in asked],
             outputs=["plant.angle", "controller.torque"],
             algorithm=algorithm,
             extrapolation=extrapolation,
@@ -151,9 +154,9 @@ def test_parts_of_a_coupled_plant(name: str, tmp_path: Path) -> None:
             both.plan(TS, STEPS * TS)
             both.reset()
             reference = np.full(len(asked), 0.3)
-            found = [both.outputs_at(reference)] + [both.step(reference, TS) for _ in range(STEPS)]
-        np.testing.assert_allclose(np.array(found)[:, 0], expected.y[:, 0], atol=TOLERANCE)
-        np.testing.assert_allclose(np.array(found)[:-1, 1], expected.u[:-1, 0], atol=TOLERANCE)
+            outputs = [both.outputs_at(reference)] + [both.step(reference, TS) for _ in range(STEPS)]
+        np.testing.assert_allclose(np.array(outputs)[:, 0], expected.y[:, 0], atol=TOLERANCE)
+        np.testing.assert_allclose(np.array(outputs)[:-1, 1], expected.u[:-1, 0], atol=TOLERANCE)
 
 
 @pytest.mark.parametrize(("study", "name"), CONTROLLERS[::3])
@@ -164,15 +167,19 @@ def test_container_fmu_of_fmpy(study: str, name: str, tmp_path: Path) -> None:
     plant = export_fmu(MODEL, tmp_path / "plant.fmu", "3.0")
     controller, measured, asked = controller_fmu(case, tmp_path / "controller.fmu", "3.0")
     part = {p.stem: Component(p.stem, p, read_model_description(p)) for p in (plant, controller)}
-    signals = {(name, v.name): v for name, one in part.items() for v in one.modelDescription.modelVariables}
+    signals = {
+        (name, v.name): v
+        for name, component_of_fmu in part.items()
+        for v in component_of_fmu.modelDescription.modelVariables
+    }
 
     def outer(name: str, causality: str, **more: str) -> ModelVariable:
         return ModelVariable(type="Float64", variability="continuous", causality=causality, name=name, **more)
 
-    shown = {outer(one, "output", initial="calculated"): ("plant", one) for one in measured}
+    shown = {outer(output, "output", initial="calculated"): ("plant", output) for output in measured}
     shown[outer("torque", "output", initial="calculated")] = ("controller", "torque")
-    shown |= {outer(one, "input", start="0.3"): ("controller", one) for one in asked}
-    connected = [("plant", one, "controller", one) for one in measured]
+    shown |= {outer(variable, "input", start="0.3"): ("controller", variable) for variable in asked}
+    connected = [("plant", output, "controller", output) for output in measured]
     connected.append(("controller", "torque", "plant", "torque"))
     configuration = Configuration(
         parallelDoStep=False,
@@ -189,7 +196,7 @@ def test_container_fmu_of_fmpy(study: str, name: str, tmp_path: Path) -> None:
             Connection(part[a], [signals[a, out]], part[b], [signals[b, into]])
             for a, out, b, into in connected
         ],
-        variableMappings={v: [(part[a], signals[a, one])] for v, (a, one) in shown.items()},
+        variableMappings={v: [(part[a], signals[a, variable])] for v, (a, variable) in shown.items()},
     )
     (tmp_path / "container").mkdir()
     create_container_fmu(configuration, tmp_path / "container", tmp_path / "loop.fmu")

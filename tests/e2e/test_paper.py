@@ -83,8 +83,8 @@ def test_one_command_writes_everything(first_run: tuple[Path, str]) -> None:
 def test_figures_of_the_paper_and_of_the_authors_programs(
     results: StudyResults, controller: str, metric: str, expected: float, tolerance: float
 ) -> None:
-    (found,) = figures(results, controller, metric)
-    assert found == pytest.approx(expected, abs=tolerance)
+    (actual,) = figures(results, controller, metric)
+    assert actual == pytest.approx(expected, abs=tolerance)
 
 
 NAMES = {
@@ -109,8 +109,8 @@ def test_figures_in_files_and_report_are_those_of_the_samples(
         assert (case.failed, case.settles) == verdict(case.folder, 5)
         assert not case.failed
         assert {key: case.metrics[key] for key in figures} == pytest.approx(figures, abs=1e-9, nan_ok=True)
-        own = {key: float(row[name] or "nan") for key, name in NAMES.items()}
-        assert own == pytest.approx({key: figures[key] for key in NAMES}, abs=1e-9, nan_ok=True)
+        actual = {key: float(row[name] or "nan") for key, name in NAMES.items()}
+        assert actual == pytest.approx({key: figures[key] for key in NAMES}, abs=1e-9, nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -156,13 +156,13 @@ def test_trajectories_of_the_authors_programs(
 def test_the_notes_on_the_authors_programs_are_recomputed(results: StudyResults) -> None:
     reproduction = results.study.report.reproduction
     assert reproduction is not None
-    told = " ".join(reproduction.notes)
+    notes = " ".join(reproduction.notes)
     for file, column, printed in (("deepc", 0, "0.2464"), ("mfapc", 1, "0.00077326")):
         rows = np.loadtxt(DATA / f"{file}_published_code.csv", delimiter=",", skiprows=1)
         error = np.abs(rows[:, 1] - rows[:, 2])
-        assert f"{error.min():.5g} " in told
-        assert f"{error.sum():.4f} " in told
-        assert printed in told
+        assert f"{error.min():.5g} " in notes
+        assert f"{error.sum():.4f} " in notes
+        assert printed in notes
         published = [method.values for method in reproduction.methods if method.rest_samples == column]
         assert float(printed) in [values["min_abs_error.angle [deg]"] for values in published]
 

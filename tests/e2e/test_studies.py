@@ -52,18 +52,18 @@ Results = Callable[[str], StudyResults]
 
 def cases_of(results: StudyResults, scenario: str, *controllers: str) -> list[CaseResult]:
     """Return the cases of controllers, by default of all, in a scenario; there are some of each."""
-    found = [case for case in results.cases if case.scenario == scenario]
-    found = [case for case in found if not controllers or case.controller in controllers]
-    assert {case.controller for case in found} >= set(controllers)
-    return found
+    cases = [case for case in results.cases if case.scenario == scenario]
+    cases = [case for case in cases if not controllers or case.controller in controllers]
+    assert {case.controller for case in cases} >= set(controllers)
+    return cases
 
 
 def medians(results: StudyResults, scenario: str, figure: Callable[[CaseResult], float]) -> dict[str, float]:
     """Return the median over the seeds of a figure of every controller."""
-    found: dict[str, list[float]] = {}
+    by_controller: dict[str, list[float]] = {}
     for case in cases_of(results, scenario):
-        found.setdefault(case.controller, []).append(figure(case))
-    return {controller: float(np.median(values)) for controller, values in found.items()}
+        by_controller.setdefault(case.controller, []).append(figure(case))
+    return {controller: float(np.median(values)) for controller, values in by_controller.items()}
 
 
 def rmse(case: CaseResult) -> float:
@@ -116,8 +116,8 @@ def test_figures_of_the_response_are_those_of_the_samples(name: str, results_of:
         if case.seed != results.cases[0].seed:  # no figure is computed otherwise for another seed
             continue
         figures = figures_of(case.folder, preview)
-        own = {key: float(row[key] or "nan") for key in figures}
-        assert own == pytest.approx(figures, rel=1e-9, abs=1e-9, nan_ok=True), case.id
+        actual = {key: float(row[key] or "nan") for key in figures}
+        assert actual == pytest.approx(figures, rel=1e-9, abs=1e-9, nan_ok=True), case.id
         assert (case.failed, case.settles) == verdict(case.folder, preview), (case.id, case.failure)
         settles = {True: "true", False: "false", None: ""}[case.settles]
         assert (row["failed"], row["settles"]) == ("true" if case.failed else "false", settles)

@@ -63,27 +63,33 @@ def host() -> Iterator[Host]:
         runs = {"linux64": (".so", [str(folder / "host")]), "win64": (".dll", [WINE, "host.exe"])}
 
         def step(fmu: Path, u: FloatArray) -> dict[str, FloatArray]:
-            told = fmpy.read_model_description(str(fmu))
+            description = fmpy.read_model_description(str(fmu))
             inputs, outputs = (
-                [v.valueReference for v in told.modelVariables if v.causality == kind and v.type == "Real"]
+                [
+                    v.valueReference
+                    for v in description.modelVariables
+                    if v.causality == kind and v.type == "Real"
+                ]
                 for kind in ("input", "output")
             )
             assert u.shape == (STEPS, len(inputs))
-            found = {}
+            by_platform = {}
             for platform, (suffix, command) in runs.items():
-                library = told.coSimulation.modelIdentifier + suffix
+                library = description.coSimulation.modelIdentifier + suffix
                 with zipfile.ZipFile(fmu) as archive:
                     (folder / library).write_bytes(archive.read(f"binaries/{platform}/{library}"))
-                references = (one for some in (inputs, outputs) for one in (*some, *(64 - len(some)) * [0]))
+                references = (
+                    reference for some in (inputs, outputs) for reference in (*some, *(64 - len(some)) * [0])
+                )
                 counts = STEPS, len(inputs), len(outputs), 0
-                names = f"./{library}".encode(), told.guid.encode()
+                names = f"./{library}".encode(), description.guid.encode()
                 request = REQUEST.pack(*names, STEP, *counts, *references) + u.tobytes()
                 done = subprocess.run(
                     command, cwd=folder, env=environment, input=request, capture_output=True, check=False
                 )
                 assert done.returncode == 0, (platform, done)
-                found[platform] = np.frombuffer(done.stdout).reshape(STEPS, len(outputs))
-            return found
+                by_platform[platform] = np.frombuffer(done.stdout).reshape(STEPS, len(outputs))
+            return by_platform
 
         try:
             yield step
@@ -114,8 +120,8 @@ def test_a_plant_is_the_same(host: Host, tmp_path: Path) -> None:
 def test_a_controller_is_the_same_to_the_last_bit(host: Host, tmp_path: Path) -> None:
     command = ["export-controller", str(write(tmp_path, STUDY)), "--controller", "mfapc"]
     fmu = exported(tmp_path, *command)
-    told = fmpy.read_model_description(str(fmu))
-    inputs = [v for v in told.modelVariables if v.causality == "input"]
+    description = fmpy.read_model_description(str(fmu))
+    inputs = [v for v in description.modelVariables if v.causality == "input"]
     u = 0.1 * np.random.default_rng(0).standard_normal((STEPS, len(inputs))).cumsum(axis=0)
     y = host(fmu, u)
     assert len(np.unique(y["linux64"])) > STEPS / 2

@@ -91,7 +91,7 @@ class CompiledController:
         return np.array(self._u)
 
     @property
-    def told(self) -> tuple[int, int, int]:
+    def last_step(self) -> tuple[int, int, int]:
         """Status, iterations and active bounds of the last step."""
         status, iterations, active = np.frombuffer(self.state, np.uint32)[2 * self._memory :][:3].tolist()
         return status, iterations, active
@@ -145,7 +145,7 @@ class Beside(Controller):
             self.disagreements.append((sample.k, action.status, self.c.status))
         self.steps, self.fallbacks = self.steps + 1, self.fallbacks + (self.c.status != 0)
         self.limited += bool(((u <= self._bounds.u_min) | (u >= self._bounds.u_max)).any())
-        self.statuses, self.active = self.statuses | self.c.status, max(self.active, self.c.told[2])
+        self.statuses, self.active = self.statuses | self.c.status, max(self.active, self.c.last_step[2])
         assert self.c.status & ~sum(STATUSES) == 0
         return Action(u, action.status) if self.drives else action
 

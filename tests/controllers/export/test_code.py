@@ -73,7 +73,7 @@ def test_every_signal_arrives_in_its_place(preview: int, wrapped: bool) -> None:
         sample = a_sample(rng, 3, preview)
         wanted = inputs_of(controller, sample, loop)
         np.testing.assert_allclose(c.step(sample), wanted, rtol=1e-13, atol=1e-13)
-        assert c.told == (0, 0, 0)
+        assert c.last_step == (0, 0, 0)
 
 
 def test_an_input_that_is_not_finite_is_held_and_told() -> None:

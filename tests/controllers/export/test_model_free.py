@@ -162,7 +162,7 @@ def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int)
         for k in range(8):
             y, r = rng.normal(size=2), 2.0 * rng.normal(size=(horizon + 1, 2))
             beside.step(Sample(k, 0.1 * k, y, np.append(0.0, y[::-1]), r[1:], r[0]))
-            active += beside.c.told[2] > 0
+            active += beside.c.last_step[2] > 0
         check(beside, bound=1e-9, fallbacks=0)
     assert active > 40
 

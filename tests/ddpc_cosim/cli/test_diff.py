@@ -55,7 +55,7 @@ def test_what_differs_is_told(
     assert done.exit_code == 1
     head, *lines = done.stdout.splitlines()
     assert head == "2 of 6 cases agree within max(1e-09, 1e-06 of the larger value)"
-    assert [line.rpartition("_")[0] for line in (one.partition(":")[0] for one in lines)] == [
+    assert [line.rpartition("_")[0] for line in (line.partition(":")[0] for line in lines)] == [
         "pid_seed0",
         "pid_seed1",
         "mfapc_seed2",
@@ -68,15 +68,15 @@ def test_what_differs_is_told(
 
 def test_the_sample_that_differs_most_is_named(folders: tuple[Path, Path]) -> None:
     case = next((folders[1] / "cases").glob("mfapc_seed0*"))
-    result = next(one for one in load_results(folders[1]).cases if one.id == case.name)
+    result = next(candidate for candidate in load_results(folders[1]).cases if candidate.id == case.name)
     trace = result.trace()
     before = trace.u[5, 0]
     trace.u[5, 0] = before + 100.0
     keys = ("id", "controller", "label", "scenario", "seed")
     write_case(case, trace, {key: getattr(result, key) for key in keys})
-    told = diff(*folders, "--abs", "99", "--rel", "0").stdout
-    assert told.startswith("3 of 4 cases agree")
-    assert f"u [1] at t = 0.5 s is {before:.9g}, other {before + 100:.9g}" in told
+    output = diff(*folders, "--abs", "99", "--rel", "0").stdout
+    assert output.startswith("3 of 4 cases agree")
+    assert f"u [1] at t = 0.5 s is {before:.9g}, other {before + 100:.9g}" in output
 
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([math.nan, math.inf, -math.inf, 0.0])
@@ -88,13 +88,13 @@ def test_values_agree_within_the_larger_tolerance(
 ) -> None:
     """Against the rule, value by value: what both lack agrees, what one lacks does not."""
 
-    def agree(one: float, other: float) -> bool:
-        if math.isnan(one) or math.isnan(other) or math.isinf(one) or math.isinf(other):
-            return one == other or (math.isnan(one) and math.isnan(other))
-        return one == other or abs(one - other) <= max(absolute, relative * max(abs(one), abs(other)))
+    def agree(value: float, other: float) -> bool:
+        if math.isnan(value) or math.isnan(other) or math.isinf(value) or math.isinf(other):
+            return value == other or (math.isnan(value) and math.isnan(other))
+        return value == other or abs(value - other) <= max(absolute, relative * max(abs(value), abs(other)))
 
-    one, other = (np.array([pair[i] for pair in pairs], dtype=float) for i in (0, 1))
-    excess, k = _excess(one, other, absolute, relative)
+    values, other = (np.array([pair[i] for pair in pairs], dtype=float) for i in (0, 1))
+    excess, k = _excess(values, other, absolute, relative)
     wrong = [i for i, pair in enumerate(pairs) if not agree(*pair)]
     assert (excess > 1.0) == bool(wrong)
     assert not wrong or k in wrong

@@ -144,7 +144,7 @@ def loud(write_study: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("command", "found"),
+    ("command", "expected"),
     [
         ("run study.toml --jobs 1 --no-report", "mine"),
         ("check {}:Mine", "passed\t"),
@@ -153,10 +153,10 @@ def loud(write_study: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_stdout_has_results_only(
-    command: str, found: str, loud: str, capfd: pytest.CaptureFixture[str]
+    command: str, expected: str, loud: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     stdout = CliRunner().invoke(main, command.format(loud).split()).stdout
-    assert found in stdout
+    assert expected in stdout
     assert "LOUD" not in stdout
     print("own words")
     assert capfd.readouterr().out == "own words\n"

@@ -41,17 +41,17 @@ def study(variants: int) -> Study:
 
 def results(variants: int, failing: str = "") -> StudyResults:
     """Return results in which the last variant is the best, and all cases of one controller failed."""
-    told = study(variants)
+    declared = study(variants)
     cases = []
-    for place, key in enumerate(told.controllers):
-        varied = told.controllers[key].variant_of
-        label = f"DeePC, horizon = {place - 1}" if varied else told.controllers[key].label or key
-        for seed in told.seeds:
+    for place, key in enumerate(declared.controllers):
+        varied = declared.controllers[key].variant_of
+        label = f"DeePC, horizon = {place - 1}" if varied else declared.controllers[key].label or key
+        for seed in declared.seeds:
             figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
             outcome = Outcome.DIVERGED if key == failing else Outcome.COMPLETED
             head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", ())
             cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s", failed=key == failing))
-    return StudyResults(Path("out"), WholeStudy.of(told), tuple(cases), {})
+    return StudyResults(Path("out"), WholeStudy.of(declared), tuple(cases), {})
 
 
 def printed(some: StudyResults, width: int = 1000) -> list[str]:
@@ -111,8 +111,8 @@ def test_a_narrow_window_loses_columns_and_tells_which(width: int, count: int) -
     text = " ".join(" ".join(lines).replace("\\", "/").split())
     assert "mean absolute error of angle [deg]: medians; ranked by" in text
     columns = ["range", "settled error of angle", "peak input of torque", "median step time"]
-    told = re.search("not shown: (.*?): out/metrics.csv", text)
-    assert (told[1].split("; ") if told else []) == columns[len(columns) - count :]
+    not_shown = re.search("not shown: (.*?): out/metrics.csv", text)
+    assert (not_shown[1].split("; ") if not_shown else []) == columns[len(columns) - count :]
     heads = " ".join(lines[: next(i for i, line in enumerate(lines) if "───" in line)]).split()
     assert [name.split()[0] in heads for name in columns] == [True] * (4 - count) + [False] * count
 
@@ -199,8 +199,8 @@ def test_where_scenarios_disagree_there_is_no_rank_and_a_line_says_who_leads_whe
 def test_reference_points_are_marked_and_have_no_rank() -> None:
     seen = seeded(12, worse=9.0)
     points = ReferencePoints(zero="deepc", full="pid")
-    told = replace(seen.study, report=ReportSection(reference_points=points))
-    lines = printed(replace(seen, whole=WholeStudy.of(told)))
+    with_points = replace(seen.study, report=ReportSection(reference_points=points))
+    lines = printed(replace(seen, whole=WholeStudy.of(with_points)))
     assert [name for _, name in ranked(lines)] == ["deepc (0\u00a0%)", "pid (100\u00a0%)"]
     assert "rank" not in "".join(lines).split()
 
@@ -230,7 +230,7 @@ def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) 
     some = seeded(12, worse=9.0)
     metrics = replace(some.study.metrics, relevant=RelevantSection(absolute=absolute))
     whole = WholeStudy.of(replace(some.study, metrics=metrics))
-    assert line in [one.strip() for one in printed(replace(some, whole=whole))]
+    assert line in [printed_line.strip() for printed_line in printed(replace(some, whole=whole))]
 
 
 def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
@@ -309,9 +309,11 @@ def test_runs_that_completed_and_failed_are_one_line_per_reason_and_no_error(
         for case in some.cases
     )
     assert show_results(replace(some, cases=cases), report=False) == 0
-    told = capsys.readouterr()
-    assert told.err.splitlines() == ["pid_1 and 1 more: completed, failed: angle ends 61 % of its task away"]
-    assert "Does not settle within 5 %: DeePC in 1 of 2 runs." in told.out.splitlines()
+    output = capsys.readouterr()
+    assert output.err.splitlines() == [
+        "pid_1 and 1 more: completed, failed: angle ends 61 % of its task away"
+    ]
+    assert "Does not settle within 5 %: DeePC in 1 of 2 runs." in output.out.splitlines()
     early = replace(cases[0], failed=True, outcome=Outcome.DIVERGED, reason="angle is NaN")
     assert show_results(replace(some, cases=(early, *cases[1:])), report=False) == 1
     assert "deepc_1: diverged: angle is NaN" in capsys.readouterr().err.splitlines()

@@ -111,7 +111,7 @@ def export(*arguments: str) -> Result:
     return CliRunner().invoke(main, ["export-controller", "small.toml", "--controller", *arguments])
 
 
-def told(fmu: Path) -> dict[str, Any]:
+def facts_of(fmu: Path) -> dict[str, Any]:
     with zipfile.ZipFile(fmu) as archive:
         content: dict[str, Any] = json.loads(archive.read("resources/controller.json"))
     return content
@@ -135,7 +135,7 @@ def test_the_fmu_has_the_signals_of_the_loop_and_what_it_was_made_from(folder: P
     assert {inputs[0].displayUnit, inputs[4].displayUnit} == {"deg"}
     torque = next(v for v in description.modelVariables if v.name == "torque")
     assert (torque.unit, float(torque.min), float(torque.max)) == ("N.m", -3.5, 3.5)
-    facts = told(Path("winner.fmu"))
+    facts = facts_of(Path("winner.fmu"))
     assert facts["settings"] == {"gain": 6.0, "fails": False}
     assert facts["status"] == {"2": "clipped"}
     assert (facts["controller"], facts["study"], facts["seed"]) == ("p", "small", 3)
@@ -167,7 +167,7 @@ def test_one_case_is_made_which_is_that_of_a_run(folder: Path, monkeypatch: pyte
     assert made == [("idle", "noisy")]
     resolved = read_study("small.toml").problem
     (case,) = cases_of(resolved, resolved.plant.built(), [4], "idle_noisy_seed4")
-    assert told(Path("idle.fmu"))["case"] == case.id
+    assert facts_of(Path("idle.fmu"))["case"] == case.id
 
 
 def test_it_computes_what_the_controller_of_the_case_computes(folder: Path) -> None:
@@ -191,7 +191,7 @@ def test_it_computes_what_the_controller_of_the_case_computes(folder: Path) -> N
         expected = [np.clip(controller.step(sample), -3.5, 3.5) for sample in samples]
         np.testing.assert_allclose(result["torque"][1:, None], expected, atol=1e-12)
         assert result["status"][-1] == 2
-        facts = told(Path("p.fmu"))
+        facts = facts_of(Path("p.fmu"))
         assert loop.recording is not None
         assert facts["recording"] == {"sha256": loop.recording.digest, "samples": 30}
         assert (facts["seed"], facts["scenario"], facts["case"]) == (seed, "noisy", case.id)
@@ -241,7 +241,7 @@ type = "idle"
     assert "several problems: choose one by --problem: one, other" in refused.stderr
     result = CliRunner().invoke(main, [*command, "--problem", "other"])
     assert result.exit_code == 0, result.output
-    assert told(Path("idle.fmu"))["problem"] == "other"
+    assert facts_of(Path("idle.fmu"))["problem"] == "other"
     assert float(fmpy.read_model_description("idle.fmu").defaultExperiment.stepSize) == 0.05
 
 
@@ -250,7 +250,7 @@ def test_a_controller_that_a_script_has_started(folder: Path) -> None:
     controller, loop = started(cases_of(resolved, resolved.plant.built(), [3], "p")[0])
     path = export_controller(controller, loop, folder / "own.fmu", facts={"note": "of a script"})
     assert validate_fmu(str(path)) == []
-    assert told(path)["note"] == "of a script"
+    assert facts_of(path)["note"] == "of a script"
     shown = CliRunner().invoke(main, ["inspect", str(path)]).output.splitlines()
     assert shown[-1].startswith('a controller in a study: type = "fmu", settings.file = ')
     with pytest.raises(ConfigError, match=r"cannot be exported; available: 2\.0, 3\.0"):

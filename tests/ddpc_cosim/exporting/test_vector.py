@@ -52,9 +52,9 @@ def replayed(
             library.controller_start(state)
         parts = row[1 : 1 + y_size], row[1 + y_size :][:r_size], np.empty(u_size)
         y, r, u = (np.ascontiguousarray(part) for part in parts)
-        told = library.controller_step(state, *(part.ctypes.data_as(ctypes.c_void_p) for part in (y, r, u)))
+        status = library.controller_step(state, *(part.ctypes.data_as(ctypes.c_void_p) for part in (y, r, u)))
         answers.append(u)
-        fallbacks.append(int(told != 0))
+        fallbacks.append(int(status != 0))
     return np.array(answers), fallbacks
 
 

@@ -42,20 +42,20 @@ def run(*arguments: str) -> tuple[int, str]:
 
 def content(folder: Path) -> dict[str, str]:
     """Return the files of a folder, of each a hash of what it says, bar how long things took."""
-    found = {str(path.relative_to(folder)): "" for path in sorted(folder.rglob("*"))}
+    by_file = {str(path.relative_to(folder)): "" for path in sorted(folder.rglob("*"))}
     for signals in folder.glob("cases/*/signals.csv"):
         rows = [*csv.reader(signals.read_text().splitlines())]
         timing = rows[0].index("solve_time [s]")
-        one = read_run(signals.parent)
+        facts = read_run(signals.parent)
         for key in ("wall_time", "signals"):
-            del one[key]
-        one["metrics"] = {key: value for key, value in one["metrics"].items() if "solve_time" not in key}
-        said = repr([[row[:timing] + row[timing + 1 :] for row in rows], one])
-        found[str(signals.relative_to(folder))] = hashlib.sha256(said.encode()).hexdigest()
+            del facts[key]
+        facts["metrics"] = {key: value for key, value in facts["metrics"].items() if "solve_time" not in key}
+        said = repr([[row[:timing] + row[timing + 1 :] for row in rows], facts])
+        by_file[str(signals.relative_to(folder))] = hashlib.sha256(said.encode()).hexdigest()
     rows = [*csv.reader((folder / "metrics.csv").read_text().splitlines())]
     kept = [number for number, name in enumerate(rows[0]) if "solve_time" not in name]
-    found["metrics.csv"] = repr([[row[number] for number in kept] for row in rows])
-    return found
+    by_file["metrics.csv"] = repr([[row[number] for number in kept] for row in rows])
+    return by_file
 
 
 work, *options = sys.argv[1:]
@@ -74,9 +74,11 @@ for line in sys.stdin:
     except Exception as fault:
         code, said = -1, f"Traceback: {type(fault).__name__}: {fault}"
     counted, failed = calls.failing_calls_end(), calls.failing_calls_failed().decode()
-    again, told = run(*command)
+    again, said_again = run(*command)
     remove_left_behind(scratch)  # as the next process that makes a temporary folder does
     left = sorted(path.name for path in scratch.iterdir())
     answer = {"calls": counted, "failed": failed, "code": code, "said": said, "left": left}
-    sys.__stdout__.write(json.dumps(answer | {"again": again, "told": told, "content": content(out)}) + "\n")
+    sys.__stdout__.write(
+        json.dumps(answer | {"again": again, "told": said_again, "content": content(out)}) + "\n"
+    )
     sys.__stdout__.flush()

@@ -89,19 +89,19 @@ def command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
 def faults(command: Command, number: int, error: str) -> list[str]:
     """Return what is wrong with how the command takes it that a call fails."""
     answer, undisturbed = command.run(number, error), command.undisturbed
-    found = []
+    wrong = []
     if answer["code"] not in (0, 1, 2) or "Traceback" in answer["said"]:
-        found.append(f"it ends with {answer['code']}: {answer['said']}")
+        wrong.append(f"it ends with {answer['code']}: {answer['said']}")
     if answer["code"] and not {"error:", "crashed:", "damaged"} & {*answer["said"].split()}:
-        found.append(f"it does not say what is wrong: {answer['said']}")
+        wrong.append(f"it does not say what is wrong: {answer['said']}")
     if answer["again"]:
-        found.append(f"the same command ends with {answer['again']}: {answer['told']}")
+        wrong.append(f"the same command ends with {answer['again']}: {answer['told']}")
     if answer["content"] != undisturbed["content"]:
         names = {name for name, _ in answer["content"].items() ^ undisturbed["content"].items()}
-        found.append(f"the same command leaves another folder: {sorted(names)}")
+        wrong.append(f"the same command leaves another folder: {sorted(names)}")
     if answer["left"]:
-        found.append(f"temporary files are left: {answer['left']}")
-    return [f"{answer['failed']}: {error}: {one}" for one in found]
+        wrong.append(f"temporary files are left: {answer['left']}")
+    return [f"{answer['failed']}: {error}: {fault}" for fault in wrong]
 
 
 def test_calls_are_counted_and_the_undisturbed_folder_is_complete(command: Command) -> None:

@@ -70,7 +70,7 @@ def test_a_status_that_is_not_ok_is_told_in_words(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fmi_type", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize(
-    ("declared", "given", "told"),
+    ("declared", "given", "expected"),
     [("0.0003", None, 3e-4), ("0.0003", 2e-7, 2e-7), (None, None, None), ("0", None, None)],
 )
 def test_an_fmu_is_told_the_tolerance_that_it_declares_unless_another_is_given(
@@ -79,16 +79,16 @@ def test_an_fmu_is_told_the_tolerance_that_it_declares_unless_another_is_given(
     fmi_type: FMIType,
     declared: str | None,
     given: float | None,
-    told: float | None,
+    expected: float | None,
 ) -> None:
     file, head = tmp_path / "calls.txt", f'<DefaultExperiment tolerance="{declared}"/>' if declared else ""
     path = model_fmu(tmp_path, version, "lag", head=head)
     with FMUPlant(path, outputs=["x"], fmi_type=fmi_type, tolerance=given, trace_calls=file) as plant:
         plant.reset()
-        assert plant.provenance().get("fmu_tolerance") == (repr(told) if told else None)
-    found = re.findall(r"toleranceDefined=(\w+), tolerance=([\d.e-]+)", file.read_text(encoding="utf-8"))
-    assert [(defined in ("1", "True"), float(value)) for defined, value in found] == [
-        (told is not None, told or 0.0)
+        assert plant.provenance().get("fmu_tolerance") == (repr(expected) if expected else None)
+    calls = re.findall(r"toleranceDefined=(\w+), tolerance=([\d.e-]+)", file.read_text(encoding="utf-8"))
+    assert [(defined in ("1", "True"), float(value)) for defined, value in calls] == [
+        (expected is not None, expected or 0.0)
     ]
     with pytest.raises(ConfigError, match=r"tolerance = nan is not possible; allowed: a finite number > 0"):
         FMUPlant(path, tolerance=math.nan)

@@ -85,9 +85,9 @@ def test_a_clock_that_does_not_tick_is_told(tmp_path: Path, variability: str) ->
     fmu = clocked(tmp_path, clock(intervalVariability=variability))
     with pytest.warns(CosimWarning, match=rf"input clocks that do not tick here: tick \({variability}\)"):
         FMUPlant(fmu).close()
-    found = as_data(inspect_fmu(fmu))
-    assert [defect["kind"] for defect in found["defects"] if "clock" in defect["kind"]] == ["unticked-clock"]
-    assert found["clocks"][0] == {
+    report = as_data(inspect_fmu(fmu))
+    assert [defect["kind"] for defect in report["defects"] if "clock" in defect["kind"]] == ["unticked-clock"]
+    assert report["clocks"][0] == {
         "name": "tick",
         "causality": "input",
         "interval_variability": variability,
@@ -97,11 +97,13 @@ def test_a_clock_that_does_not_tick_is_told(tmp_path: Path, variability: str) ->
 
 
 def test_without_an_event_mode_no_clock_ticks(tmp_path: Path) -> None:
-    own = clock(intervalVariability="constant", intervalDecimal="0.1")
+    constant = clock(intervalVariability="constant", intervalDecimal="0.1")
     other = clock("told", causality="output", intervalVariability="triggered")
     silent = KINDS["co-simulation"].replace(' hasEventMode="true"', "")
     with pytest.warns(CosimWarning, match=r"do not tick here: tick \(constant\)"):
-        plant = FMUPlant(clocked(tmp_path, own, other, interfaces=silent), inputs=["u"], outputs=["count"])
+        plant = FMUPlant(
+            clocked(tmp_path, constant, other, interfaces=silent), inputs=["u"], outputs=["count"]
+        )
     with plant:
         plant.reset()
         assert plant.step(np.zeros(1), 1.0) == [0.0]

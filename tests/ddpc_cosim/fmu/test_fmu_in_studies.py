@@ -89,9 +89,9 @@ def test_a_run_tells_warnings_in_a_line_each(tmp_path: Path) -> None:
     study = write_study(tmp_path, not_quite_valid(tmp_path))
     result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
     assert result.exit_code == 0, result.output
-    told = [line for line in result.stderr.splitlines() if "was read as" in line]
-    assert len(told) == 1
-    assert told[0].startswith("warning: lag.fmu: modelDescription.xml: ")
+    warnings = [line for line in result.stderr.splitlines() if "was read as" in line]
+    assert len(warnings) == 1
+    assert warnings[0].startswith("warning: lag.fmu: modelDescription.xml: ")
 
 
 class Hold(Controller):

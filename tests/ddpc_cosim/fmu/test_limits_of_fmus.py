@@ -123,9 +123,9 @@ def test_a_type_that_the_fmu_does_not_have_is_refused(tmp_path: Path, fmi_type: 
 
 def test_numbers_that_are_none_are_refused_all_at_once(tmp_path: Path) -> None:
     path = model_fmu(tmp_path, "2.0", "lag")
-    with pytest.raises(ConfigError) as found:
+    with pytest.raises(ConfigError) as caught:
         FMUPlant(path, tolerance="x", step_timeout=None, memory_limit=-1, sandbox=True)  # type: ignore[arg-type]
-    assert list(found.value.faults) == [
+    assert list(caught.value.faults) == [
         "step_timeout = None is not possible; allowed: a finite number > 0",
         "memory_limit = -1 is not possible; allowed: a finite number > 0",
         "tolerance = 'x' is not possible; allowed: a finite number > 0",

@@ -70,8 +70,8 @@ def matrices(model: LinearModel) -> tuple[FloatArray, ...]:
     return model.a, model.b, model.c, model.d
 
 
-def assert_same(found: Sequence[FloatArray], expected: Sequence[FloatArray], tolerance: float) -> None:
-    for mine, other in zip(found, expected, strict=True):
+def assert_same(actual: Sequence[FloatArray], expected: Sequence[FloatArray], tolerance: float) -> None:
+    for mine, other in zip(actual, expected, strict=True):
         assert mine.shape == other.shape
         assert (np.abs(mine - other) <= tolerance * np.maximum(np.abs(other), 1.0)).all()
 
@@ -87,14 +87,14 @@ def test_an_fmu_tells_the_derivatives_of_its_equations(fmu_of: Any, name: str, v
         for moved in (False, True):
             if moved:
                 plant.step(u, equations.step_size)
-            told = plant.linearise()
+            model = plant.linearise()
             differences = plant.linearise(derivatives="differences")
-            exact = linearise(equations, told.x_0, told.u_0)
-            assert (told.derivatives, differences.derivatives) == ("directional", "differences")
-            assert_same(matrices(told), exact, 1e-9)
+            exact = linearise(equations, model.x_0, model.u_0)
+            assert (model.derivatives, differences.derivatives) == ("directional", "differences")
+            assert_same(matrices(model), exact, 1e-9)
             assert_same(matrices(differences), exact, 1e-7)
-            assert told.u_0.tolist() == (u if moved else [v.start for v in equations.inputs])
-    assert told.states == tuple(state.name for state in equations.states)
+            assert model.u_0.tolist() == (u if moved else [v.start for v in equations.inputs])
+    assert model.states == tuple(state.name for state in equations.states)
 
 
 def test_inputs_at_the_operating_point_may_be_given(fmu_of: Any) -> None:
@@ -119,12 +119,12 @@ def test_a_run_goes_on_as_if_nothing_had_been_asked(fmu_of: Any) -> None:
 
 @pytest.mark.parametrize("derivatives", ["directional", "differences"])
 def test_an_isolated_fmu_gives_the_same_model(fmu_of: Any, derivatives: Any) -> None:
-    found = []
+    models = []
     for isolated in (False, True):
         with open_model(fmu_of(pendulum.MODEL), isolated=isolated) as plant:
             plant.reset()
-            found.append(matrices(plant.linearise([0.5], derivatives=derivatives)))
-    assert_same(found[1], found[0], 0.0)
+            models.append(matrices(plant.linearise([0.5], derivatives=derivatives)))
+    assert_same(models[1], models[0], 0.0)
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0", "3.0"])
@@ -178,11 +178,11 @@ def test_derivatives_that_contradict_small_changes_are_not_used(
     assert_same(matrices(model), expected, 1e-9)
 
 
-@pytest.mark.parametrize(("told", "derivatives"), [(1.0, "directional"), (1.01, "differences")])
-def test_a_hundredth_is_a_contradiction(tmp_path: Path, told: float, derivatives: str) -> None:
+@pytest.mark.parametrize(("derivative", "derivatives"), [(1.0, "directional"), (1.01, "differences")])
+def test_a_hundredth_is_a_contradiction(tmp_path: Path, derivative: float, derivatives: str) -> None:
     with open_model(telling_fmu(tmp_path, "copy")) as plant, warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)
-        plant.reset({"told": told, "rate": 3.0, "x": 0.3})
+        plant.reset({"told": derivative, "rate": 3.0, "x": 0.3})
         model = plant.linearise([0.9])
     assert model.derivatives == derivatives
     assert model.a == pytest.approx(np.array([[-3.0]]), abs=1e-8)
@@ -209,8 +209,8 @@ def test_a_kink_is_no_contradiction() -> None:
             return np.abs(point)
 
     around: Any = Around()
-    found = [contradicted(around, np.array([[slope]])) for slope in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-    assert found == [[0], [], [], [], [0]]
+    contradictions = [contradicted(around, np.array([[slope]])) for slope in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    assert contradictions == [[0], [], [], [], [0]]
 
 
 @pytest.mark.parametrize("is_single", [False, True])
@@ -228,10 +228,10 @@ def test_rounding_to_single_precision_contradicts_nothing(is_single: bool) -> No
             return np.array([np.float32(2 * u), np.float32(300 + 2.5 * u)], dtype=float)
 
     around: list[Any] = [Around(u) for u in np.linspace(0.5, 1.5, 100)]
-    right = [contradicted(one, np.array([[2.0], [2.5]]), is_single) for one in around]
+    right = [contradicted(point, np.array([[2.0], [2.5]]), is_single) for point in around]
     assert any(right) != is_single
     if is_single:
-        assert all(contradicted(one, np.array([[0.0], [0.0]]), is_single) == [0] for one in around)
+        assert all(contradicted(point, np.array([[0.0], [0.0]]), is_single) == [0] for point in around)
 
 
 def test_any_variable_that_can_be_read_may_be_an_output(fmu_of: Any) -> None:

@@ -186,8 +186,8 @@ def test_the_folder_name_of_the_other_fmi_version(tmp_path: Path, version: str, 
 
 def test_which_of_two_libraries_is_not_guessed(tmp_path: Path) -> None:
     text = lag_description(interfaces=CO_SIMULATION.replace("models", "lag"))
-    one = f"binaries/{fmpy.platform}/one{SUFFIX}"
-    path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"), place=one)
+    library = f"binaries/{fmpy.platform}/one{SUFFIX}"
+    path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"), place=library)
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(f"binaries/{fmpy.platform}/two{SUFFIX}", model_library("2.0"))
     with pytest.raises(FMUImportError, match="no binary for this platform"):

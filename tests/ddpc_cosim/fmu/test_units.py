@@ -67,6 +67,6 @@ def test_what_a_study_gives_in_a_display_unit_is_converted_back(pair: tuple[str,
 
 
 def test_a_definition_of_the_fmu_counts_before_the_usual_one() -> None:
-    own = {"K": (DisplayUnit("degC", 2.0, 1.0),)}
-    (variable,) = with_display_units([Variable("T", "K")], {"T": "degC"}, own)
+    definitions = {"K": (DisplayUnit("degC", 2.0, 1.0),)}
+    (variable,) = with_display_units([Variable("T", "K")], {"T": "degC"}, definitions)
     assert variable.shown_in == DisplayUnit("degC", 2.0, 1.0)

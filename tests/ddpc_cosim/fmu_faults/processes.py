@@ -17,16 +17,16 @@ def descendants(pid: int) -> list[int]:
     with subprocess.Popen(["ps", "-A", "-o", "pid=,ppid="], stdout=subprocess.PIPE, text=True) as ps:
         listed = [tuple(map(int, line.split())) for line in ps.communicate()[0].splitlines()]
     parents = [(child, parent) for child, parent in listed if child != ps.pid]
-    found, family = [], {pid}
+    children, family = [], {pid}
     grown = True
     while grown:
         grown = False
         for child, parent in parents:
             if parent in family and child not in family:
                 family.add(child)
-                found.append(child)
+                children.append(child)
                 grown = True
-    return found
+    return children
 
 
 class Watch:

@@ -1,4 +1,4 @@
-"""Archives that nobody vouches for: refused with the reason, and nothing is written outside the folder."""
+"""Archives from unknown sources: refused with the reason, and nothing is written outside the folder."""
 
 import os
 import stat
@@ -64,7 +64,7 @@ def corrupted(path: Path) -> Path:
 
 
 def unknown_method(path: Path) -> Path:
-    """Claim a compression method that nobody has."""
+    """Claim a compression method that does not exist."""
     archive_with(path, ("data", b"x"))
     content = bytearray(path.read_bytes())
     for signature, offset in ((b"PK\3\4", 8), (b"PK\1\2", 10)):
@@ -241,7 +241,7 @@ class TestLimits:
         assert (folder / "zeros").stat().st_size == 30_000_000
 
     def test_what_is_large_by_itself_has_no_ratio(self, tmp_path: Path) -> None:
-        """Thirty million bytes that say nothing, in an archive that is no smaller."""
+        """Thirty million bytes that say nothing, in an archive that is not smaller."""
         path, folder = compressed(tmp_path / "zeros.fmu", zipfile.ZIP_STORED), tmp_path / "folder"
         folder.mkdir()
         unpack(path, folder)
@@ -396,10 +396,10 @@ class TestWhatIsUnpacked:
         self, files: Files, faulty_fmus: dict[int, Path], tmp_path: Path
     ) -> None:
         unpack(faulty_fmus[2], tmp_path)
-        found = {
+        extracted = {
             p.relative_to(tmp_path).as_posix(): p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()
         }
-        assert found == dict(files)
+        assert extracted == dict(files)
 
     def test_odd_but_harmless(self, tmp_path: Path) -> None:
         """Some archivers write ``./x`` and ``a//x``, and some the same file twice."""
@@ -410,5 +410,5 @@ class TestWhatIsUnpacked:
         folder = tmp_path / "folder"
         folder.mkdir()
         unpack(path, folder)
-        found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-        assert found == {"modelDescription.xml", "a.txt", "b/c.txt"}
+        extracted = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+        assert extracted == {"modelDescription.xml", "a.txt", "b/c.txt"}

@@ -34,14 +34,14 @@ __attribute__((visibility("default"))) int round_to_nearest(void) { return feset
 class Computes(Controller):
     """Tells what it computes: a tenth and a third, which are rounded, and a denormal number."""
 
-    one: float = 1.0
+    numerator: float = 1.0
     smallest: float = 1e-310
 
     def start(self, loop: Loop) -> None:
         pass
 
     def step(self, sample: Sample) -> Action:
-        rounded = self.one / 10.0, self.one / 3.0
+        rounded = self.numerator / 10.0, self.numerator / 3.0
         info = {"tenth": rounded[0], "third": rounded[1], "denormal": 0.5 * self.smallest}
         return Action(np.array([1.0 - sample.y[0] * rounded[1]]), info=info)
 
@@ -53,7 +53,7 @@ def run(plant: FMUPlant, **parameters: float) -> Trace:
         sampling_time=H,
         duration=1.0,
         reference=Constant(1.0),
-        outputs=["y"] if "y" in {one.name for one in plant.outputs} else None,
+        outputs=["y"] if "y" in {output.name for output in plant.outputs} else None,
         parameters=parameters,
     )
 
@@ -82,9 +82,9 @@ def test_co_simulation(fault: Fault, version: int, isolated: bool, faulty_fmus: 
     with FMUPlant(faulty_fmus[version], isolated=isolated) as plant:
         undisturbed = run(plant)
         assert plant.warnings == ()
-        with pytest.warns(CosimWarning) as told:
+        with pytest.warns(CosimWarning) as caught:
             trace = run(plant, fault=int(fault), fault_time=FAULT_TIME)
-        (warning,) = told
+        (warning,) = caught
         told_of = (
             f"faulty{version}.fmu: its library changes how numbers are computed: {WORDS[fault]}; it was put"
         )
@@ -106,9 +106,9 @@ def test_model_exchange(fault: Fault, tmp_path: Path) -> None:
         ) as faulty,
     ):
         undisturbed = run(plant)
-        with pytest.warns(CosimWarning, match=WORDS[fault]) as told:
+        with pytest.warns(CosimWarning, match=WORDS[fault]) as caught:
             trace = run(faulty)
-        assert len(told) == 1
+        assert len(caught) == 1
     for name, values in undisturbed.info.items():
         np.testing.assert_array_equal(trace.info[name], values)
     np.testing.assert_allclose(trace.y, undisturbed.y, rtol=1e-9)
@@ -129,9 +129,9 @@ def test_fast_math(isolated: bool, fast_math_fmu: Path, faulty_fmus: dict[int, P
     with FMUPlant(faulty_fmus[2], isolated=isolated) as plant:
         undisturbed = run(plant)
     with FMUPlant(fast_math_fmu, isolated=isolated) as plant:
-        with pytest.warns(CosimWarning, match="takes denormal numbers for zero; it was put back") as told:
+        with pytest.warns(CosimWarning, match="takes denormal numbers for zero; it was put back") as caught:
             plant.reset()
-        assert len(told) == 1
+        assert len(caught) == 1
         assert_same_figures(run(plant), undisturbed)
         assert_same_figures(run(plant), undisturbed)
 
@@ -148,8 +148,8 @@ def test_in_a_study(fast_math_fmu: Path, faulty_fmus: dict[int, Path], tmp_path:
         results = run_file(write(tmp_path, text), path.stem)
         (case,) = results.cases
         traces[path.stem] = read_trace(case.folder)
-        told = read_run(case.folder)["provenance"].get("fmu_warnings", "")
-        assert ("takes denormal numbers for zero" in told) is (path == fast_math_fmu)
+        warned = read_run(case.folder)["provenance"].get("fmu_warnings", "")
+        assert ("takes denormal numbers for zero" in warned) is (path == fast_math_fmu)
         assert ("takes denormal numbers for zero" in str(results.provenance)) is (path == fast_math_fmu)
     assert np.any(traces["faulty2"].u != 0.0)
     assert_same_figures(traces["fast"], traces["faulty2"])

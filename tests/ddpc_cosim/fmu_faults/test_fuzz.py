@@ -128,7 +128,7 @@ MUTATIONS = st.lists(
 
 
 class Files(dict[str, bytes]):
-    """An archive's files, whose contents nobody wants to read in a report."""
+    """An archive's files, whose contents would be of no use in a report."""
 
     def __repr__(self) -> str:
         return f"Files({', '.join(self)})"
@@ -207,7 +207,7 @@ class TestOnlyErrorsOfTheFamily:
         ),
     )
     def test_bytes_of_archives(self, changes: Any, cut: int | None, compression: int) -> None:
-        """No library in these: a damaged one would be code that nobody has written."""
+        """Without a library in these: a damaged one would be arbitrary code."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fuzz.fmu"
             with zipfile.ZipFile(path, "w", compression) as archive:

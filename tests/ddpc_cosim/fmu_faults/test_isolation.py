@@ -71,9 +71,9 @@ class TestTheSameAsInThisProcess:
         here = FMUPlant(faulty_fmus[2])
         with pytest.raises(ConfigError) as expected:
             here.reset(parameters)
-        with pytest.raises(ConfigError) as found:
+        with pytest.raises(ConfigError) as caught:
             session.reset(parameters)
-        assert found.value.faults == expected.value.faults
+        assert caught.value.faults == expected.value.faults
         here.close()
 
     def test_an_fmu_that_cannot_be_loaded(self, tmp_path: Path) -> None:

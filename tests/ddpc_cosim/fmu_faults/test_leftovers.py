@@ -18,7 +18,7 @@ from .processes import Watch, descendants, heed_interrupts
 
 PIPE = "pipe"
 LONG = 60.0
-"""Nobody waits for so long: the limit of what would otherwise hang [s]."""
+"""The limit of what would otherwise hang, longer than anything takes [s]."""
 
 SCRIPT = """
 import sys

@@ -22,7 +22,7 @@ def test_what_an_fmu_writes_to_its_standard_output(
         print("one", flush=True)
         plant.step(np.ones(1), H)
         print("two", flush=True)
-    found = capfd.readouterr().out
-    assert found.startswith("one\n")
-    assert found.endswith("two\n")
-    assert len(found) == printed + len("one\ntwo\n")
+    output = capfd.readouterr().out
+    assert output.startswith("one\n")
+    assert output.endswith("two\n")
+    assert len(output) == printed + len("one\ntwo\n")

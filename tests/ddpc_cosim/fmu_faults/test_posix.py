@@ -37,11 +37,11 @@ def test_permissions(tmp_path: Path) -> None:
         for name in ("modelDescription.xml", tool, library_name("2.0"), "resources/table.txt"):
             archive.writestr(name, b"<x/>")
     unpack(path, tmp_path)
-    found = {
+    modes = {
         name: (tmp_path / name).stat().st_mode & 0o7111
         for name in (tool.filename, library_name("2.0"), "resources/table.txt")
     }
-    assert found == {tool.filename: 0o111, library_name("2.0"): 0o111, "resources/table.txt": 0}
+    assert modes == {tool.filename: 0o111, library_name("2.0"): 0o111, "resources/table.txt": 0}
 
 
 class TestTheServer:
@@ -143,7 +143,7 @@ def test_a_copy_that_holds_the_channel_open_ends_with_its_worker(
         Worker(worker_side.leave_a_copy, in_own_session, whether, folder=tmp_path)
         for whether in (False, dies)
     )
-    other, copy = (Watch([int(one.channel.receive(20))]) for one in (neighbour, worker))
+    other, copy = (Watch([int(process.channel.receive(20))]) for process in (neighbour, worker))
     if dies:
         worker.channel.send(b"")
         with pytest.raises(EOFError):

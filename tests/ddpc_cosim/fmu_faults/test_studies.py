@@ -57,7 +57,7 @@ def test_a_crash(run: Run) -> None:
 
 
 def test_a_termination_that_does_not_return(run: Run) -> None:
-    """All samples are there, and still it is no success."""
+    """All samples are there, and still it is not a success."""
     trace = run(Fault.HANG_IN_TERMINATE, timeout=SHORT)
     assert trace.outcome is Outcome.TIMED_OUT
     assert trace.reason.startswith("after the last sample: faulty2.fmu: no return within 0.5 s in terminate")

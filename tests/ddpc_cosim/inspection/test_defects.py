@@ -120,9 +120,9 @@ def fmus(pendulum_fmu: Path, pendulum_fmi3: Path) -> dict[str, Path]:
 @pytest.mark.parametrize(("name", "place", "version", "replacement"), DESCRIPTIONS)
 def test_defects_of_the_description(fmus, mutate, name, place, version, replacement) -> None:
     inspection = inspect_fmu(mutate(fmus[version], replacement))
-    found = {defect.kind.name: defect.places for defect in inspection.defects}
-    assert name in found, found
-    assert any(entry.startswith(place) for entry in found[name]) if place else found[name] == ()
+    places = {defect.kind.name: defect.places for defect in inspection.defects}
+    assert name in places, places
+    assert any(entry.startswith(place) for entry in places[name]) if place else places[name] == ()
 
 
 def runs(fmu: Path) -> bool:
@@ -297,5 +297,5 @@ def test_a_description_that_is_no_xml(pendulum_fmu, mutate) -> None:
 def test_strict_adds_the_full_validation(pendulum_fmu, mutate) -> None:
     fmu = mutate(pendulum_fmu, ('variableNamingConvention="structured"', 'variableNamingConvention="odd"'))
     assert "invalid" not in kinds(fmu)
-    found = [defect.kind.name for defect in inspect_fmu(fmu, strict=True).defects]
-    assert "invalid" in found
+    defect_names = [defect.kind.name for defect in inspect_fmu(fmu, strict=True).defects]
+    assert "invalid" in defect_names

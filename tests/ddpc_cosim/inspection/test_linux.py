@@ -28,7 +28,7 @@ def test_a_library_for_another_processor_or_cut_off(pendulum_fmu, tmp_path) -> N
     assert "is for RISC-V, not " in str(defect.places)
     for part in (0.001, 0.3, 0.6):
         cut_off = changed(lambda library, part=part: library[: int(part * len(library))])
-        assert [one.kind.name for one in cut_off.defects] == ["cut-off-library"]
+        assert [cut.kind.name for cut in cut_off.defects] == ["cut-off-library"]
         assert not cut_off.can_run
 
 
@@ -41,8 +41,8 @@ def test_a_temporary_folder_that_forbids_execution(
         f_flag = statvfs(tmp_path).f_flag | os.ST_NOEXEC
 
     monkeypatch.setattr(os, "statvfs", lambda path: Mounted)
-    (defect,) = (found := inspect_fmu(pendulum_fmu)).defects
-    assert (defect.kind.name, found.can_run) == ("no-execution", False)
+    (defect,) = (inspection := inspect_fmu(pendulum_fmu)).defects
+    assert (defect.kind.name, inspection.can_run) == ("no-execution", False)
 
 
 MEMORY = """
@@ -65,8 +65,8 @@ def test_a_million_variables_take_less_than_a_gigabyte(pendulum_fmu, mutate) -> 
     )
     text = "".join(variable.format(i, i + 1000) for i in range(50_000))
     many = mutate(pendulum_fmu, (end, text + end))
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", MEMORY, pendulum_fmu, many], capture_output=True, text=True, check=True
     )
-    small, large = map(int, found.stdout.split())
+    small, large = map(int, process.stdout.split())
     assert large - small < 50_000  # kB

@@ -169,10 +169,10 @@ def test_a_request_on_leaving_leaves_everything_as_it_was(monkeypatch: pytest.Mo
     restore = signal.signal
 
     def restored_and_asked(number: int, handler: Any) -> Any:
-        found = restore(number, handler)
+        restored = restore(number, handler)
         if number == signal.SIGINT and handler is signal.default_int_handler:
             signal.raise_signal(number)
-        return found
+        return restored
 
     with pytest.raises(KeyboardInterrupt), orderly_end():
         monkeypatch.setattr(signal, "signal", restored_and_asked)
@@ -186,8 +186,10 @@ def test_a_request_on_leaving_leaves_everything_as_it_was(monkeypatch: pytest.Mo
 
 
 def test_what_was_half_made_when_a_request_came_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[Any] = []
-    monkeypatch.setattr("sys.unraisablehook", lambda unraisable: told.append(str(unraisable.exc_value)))
+    unraisable_errors: list[Any] = []
+    monkeypatch.setattr(
+        "sys.unraisablehook", lambda unraisable: unraisable_errors.append(str(unraisable.exc_value))
+    )
 
     class HalfMade:
         def __init__(self) -> None:
@@ -203,7 +205,7 @@ def test_what_was_half_made_when_a_request_came_is_not_told(monkeypatch: pytest.
         except Terminated as request:
             request.__traceback__ = None  # which goes with what it holds
         gc.collect()
-    assert told == []
+    assert unraisable_errors == []
 
 
 def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,11 +213,13 @@ def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch: pytest.MonkeyP
         def __del__(self) -> None:
             raise ValueError("of its own")
 
-    told: list[Any] = []
-    monkeypatch.setattr("sys.unraisablehook", lambda unraisable: told.append(str(unraisable.exc_value)))
+    unraisable_errors: list[Any] = []
+    monkeypatch.setattr(
+        "sys.unraisablehook", lambda unraisable: unraisable_errors.append(str(unraisable.exc_value))
+    )
     with orderly_end():
         Faulty()
-    assert told == ["of its own"]
+    assert unraisable_errors == ["of its own"]
 
 
 FINALIZED = """
@@ -281,7 +285,7 @@ class Silent:
     def finished(self, case: Case, result: CaseResult) -> None: ...
 
 
-# A socket or process of which nobody knows yet goes with a warning, and with it what is at the other end; so
+# A socket or process that is not registered yet goes with a warning, and with it what is at the other end; so
 # does what was half made.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -361,6 +365,6 @@ def test_a_request_while_the_program_is_imported(count: int, tmp_path: Path, pro
             timeout=120,
             check=False,
         )
-        told = "terminated: finished cases are kept; the same command goes on from there"
-        assert (ended.returncode, ended.stderr.splitlines()[-1]) == (143, told), (event, ended.stderr)
+        message = "terminated: finished cases are kept; the same command goes on from there"
+        assert (ended.returncode, ended.stderr.splitlines()[-1]) == (143, message), (event, ended.stderr)
         assert "Traceback" not in ended.stderr, event

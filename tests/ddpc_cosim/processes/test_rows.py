@@ -93,9 +93,9 @@ def test_the_texts_of_statuses_are_limited_in_length(tmp_path: Path) -> None:
         store.begin(k, np.zeros(1), np.empty(0))
         store.complete(k, np.ones(1), text, 0.0)
     assert list(store.written()["status"]) == texts
-    found = RowStore(40, 1, 0, 1, tmp_path / "rows").written()["status"]
-    assert list(found[:16]) == texts[:16]
-    assert set(found[16:]) == {"(not kept: too many different statuses)"}
+    statuses = RowStore(40, 1, 0, 1, tmp_path / "rows").written()["status"]
+    assert list(statuses[:16]) == texts[:16]
+    assert set(statuses[16:]) == {"(not kept: too many different statuses)"}
     assert (tmp_path / "rows").stat().st_size < 100_000
 
 

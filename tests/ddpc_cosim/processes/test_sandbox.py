@@ -73,12 +73,12 @@ def test_a_study_in_the_sandbox(
         return
     assert (free.returncode, held.returncode) == (0, 0), free.stderr + held.stderr
     without, within = (load_results(tmp_path / name) for name in ("free", "held"))
-    for one, other in zip(without.cases, within.cases, strict=True):
-        assert one.id == other.id
-        assert one.sandbox == ""
+    for case, other in zip(without.cases, within.cases, strict=True):
+        assert case.id == other.id
+        assert case.sandbox == ""
         assert other.sandbox.startswith("no_new_privs; Landlock ")
         for name in ("time", "reference", "y", "u", "status"):
-            np.testing.assert_array_equal(getattr(one.trace(), name), getattr(other.trace(), name))
+            np.testing.assert_array_equal(getattr(case.trace(), name), getattr(other.trace(), name))
     assert without.provenance["sandbox"] == "none"
     assert within.provenance["sandbox"] == f"4 of 4 cases: {within.cases[0].sandbox}"
     assert read_run(within.cases[0].folder)["sandbox"] == within.cases[0].sandbox

@@ -30,7 +30,7 @@ def apart(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bo
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Path:
+def writable(tmp_path: Path) -> Path:
     """The folder that the process may write to."""
     folder = tmp_path / "own"
     folder.mkdir()
@@ -48,14 +48,14 @@ def readable(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def called(own: Path, readable: Path, apart: bool) -> Iterator[Ask]:
+def called(writable: Path, readable: Path, apart: bool) -> Iterator[Ask]:
     """Calls of functions in a process in the sandbox."""
 
     def call(function: Callable[..., Any], *arguments: Any) -> Any:
         ask(worker.channel, function, *arguments)
         return result_of(worker.channel.receive(LONGEST_REPLY))
 
-    worker = Worker(serve_calls, folder=own, sandbox=Sandbox((own,), (readable.parent,)))
+    worker = Worker(serve_calls, folder=writable, sandbox=Sandbox((writable,), (readable.parent,)))
     try:
         yield call
     finally:
@@ -114,14 +114,14 @@ WAITING = {"pause", "vfork"}
 FIRST_NEW, NUMBERS, FOREIGN = 435, range(520), 0x40000000
 
 
-def _answers(called: Ask, own: Path, calls: list[tuple[int, tuple[int, ...], bool]]) -> list[str]:
-    (own / "asking.py").write_text(ASKING, encoding="utf-8")
-    answers = f"__import__('runpy').run_path({str(own / 'asking.py')!r})['answers']"
+def _answers(called: Ask, writable: Path, calls: list[tuple[int, tuple[int, ...], bool]]) -> list[str]:
+    (writable / "asking.py").write_text(ASKING, encoding="utf-8")
+    answers = f"__import__('runpy').run_path({str(writable / 'asking.py')!r})['answers']"
     return list(called(eval, f"{answers}({calls!r})"))
 
 
 @pytest.mark.parametrize("apart", ["apart"], indirect=True)
-def test_every_system_call_of_the_kernel(called: Ask, own: Path) -> None:
+def test_every_system_call_of_the_kernel(called: Ask, writable: Path) -> None:
     """What is not in the list of allowed calls is refused, of this kernel and of later ones."""
     with Path(__file__).with_name("system_calls.csv").open(encoding="utf-8", newline="") as file:
         listed = {
@@ -132,22 +132,24 @@ def test_every_system_call_of_the_kernel(called: Ask, own: Path) -> None:
     every = {number: (str(number), "unknown" if number >= FIRST_NEW else "refused") for number in NUMBERS}
     every |= listed
     # The kernel lets those of its own probes pass by any filter; older ones do not know them.
-    asked = {number: told for number, told in every.items() if told[1] != "probe"}
+    asked = {
+        number: name_and_answer for number, name_and_answer in every.items() if name_and_answer[1] != "probe"
+    }
     calls = [(n, HARMLESS.get(name, (-1,) * 6), name in WAITING) for n, (name, _) in asked.items()]
-    found = _answers(called, own, calls)
+    answers = _answers(called, writable, calls)
     names = [name for name, _ in asked.values()]
     expected = ["refused" if word == "sometimes" else word for _, word in asked.values()]
-    assert dict(zip(names, found, strict=True)) == dict(zip(names, expected, strict=True))
+    assert dict(zip(names, answers, strict=True)) == dict(zip(names, expected, strict=True))
     sometimes = {name: number for number, (name, word) in listed.items() if word == "sometimes"}
     assert sometimes.keys() == POSSIBLE.keys()
     possible = [(number, POSSIBLE[name], False) for name, number in sometimes.items()]
-    assert _answers(called, own, possible) == ["allowed"] * len(possible)
+    assert _answers(called, writable, possible) == ["allowed"] * len(possible)
     foreign = [(FOREIGN + number, (-1,) * 6, False) for number in (0, 1, 39, 520)]
-    assert {*_answers(called, own, foreign)} == {"refused"}
+    assert {*_answers(called, writable, foreign)} == {"refused"}
 
 
 def test_what_is_open_for_reading_stays_as_it_is(called: Ask, readable: Path) -> None:
-    """Its mode, owner, attributes and flags; and nobody is kept from writing to it."""
+    """Its mode, owner, attributes and flags; and writing to it is not blocked for others."""
     before = [path.stat() for path in (readable, readable.parent)]
     opened = f"(os := __import__('os')).open({str(readable)!r}, os.O_RDONLY)"
     folder = f"(os := __import__('os')).open({str(readable.parent)!r}, os.O_RDONLY)"
@@ -217,11 +219,12 @@ def test_it_says_what_it_is_in(called: Ask, apart: bool) -> None:
     ("call", "words"),
     [("abort()", "SIGABRT"), ("_exit(3)", "exit code 3"), ("kill(os.getpid(), 9)", "SIGKILL")],
 )
-def test_its_end_is_told_as_it_was(call: str, words: str, own: Path, apart: bool) -> None:
+def test_its_end_is_told_as_it_was(call: str, words: str, writable: Path, apart: bool) -> None:
     """Also where it is not the process that was started; and what it has left ends with it."""
-    worker = Worker(serve_calls, folder=own, sandbox=Sandbox((own,)))
+    worker = Worker(serve_calls, folder=writable, sandbox=Sandbox((writable,)))
     leave = "os.fork() or [os.setsid(), __import__('signal').pause()]"
-    lock = f"(fcntl := __import__('fcntl')).flock(os.open({str(own / 'lock')!r}, os.O_CREAT), fcntl.LOCK_EX)"
+    file = f"os.open({str(writable / 'lock')!r}, os.O_CREAT)"
+    lock = f"(fcntl := __import__('fcntl')).flock({file}, fcntl.LOCK_EX)"
     try:
         ask(worker.channel, eval, f"[(os := __import__('os')), {lock}, {leave}, os.{call}]")
         with pytest.raises(EOFError):
@@ -229,7 +232,7 @@ def test_its_end_is_told_as_it_was(call: str, words: str, own: Path, apart: bool
     finally:
         ending = worker.end()
     assert words in str(ending)
-    with (own / "lock").open() as file:  # which whoever is left would have
+    with (writable / "lock").open() as file:  # which whoever is left would have
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -273,13 +276,13 @@ def test_the_import_path_opens_no_temporary_files(
     holds_temporary_files: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As where a script lies beside them, whose folder is on the import path."""
-    module, own = tmp_path / "module.py", tmp_path / "own"
+    module, writable = tmp_path / "module.py", tmp_path / "own"
     module.write_text("", encoding="utf-8")
-    own.mkdir()
+    writable.mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     if not holds_temporary_files:
-        own = Path(tempfile.mkdtemp())
-    worker = Worker(serve_calls, folder=own, sandbox=Sandbox((own,)))
+        writable = Path(tempfile.mkdtemp())
+    worker = Worker(serve_calls, folder=writable, sandbox=Sandbox((writable,)))
     try:
         ask(worker.channel, os.listdir, str(tmp_path))
         answer = worker.channel.receive(LONGEST_REPLY)
@@ -290,4 +293,4 @@ def test_the_import_path_opens_no_temporary_files(
                 result_of(answer)
     finally:
         worker.end()
-        shutil.rmtree(own)
+        shutil.rmtree(writable)

@@ -39,10 +39,10 @@ def test_a_value_agrees_within_a_share_of_the_range_of_its_signal(
     rows = "".join(f"{time},{value!r}\n" for time, value in enumerate(values.tolist()))
     file = golden(f"time,h\n{rows}")
     file.check_times(0.0, 1.0, 4)
-    found = values.copy()
-    found[row] += share * rel * span
+    shifted = values.copy()
+    shifted[row] += share * rel * span
     floor = 2e-9 * np.abs(values).max() + 1e-12
-    difference = file.compare({"h": found}, rel, "completed")
+    difference = file.compare({"h": shifted}, rel, "completed")
     if abs(share) * rel * span < rel * span - floor:
         assert difference.agrees
     if abs(share) * rel * span > rel * span + floor:
@@ -63,12 +63,12 @@ def test_the_worst_value_is_told_with_its_time_and_both_values() -> None:
     file = golden("time,h [cm],v\n0,100,0\n0.5,50,-1\n1,0,-2\n")
     file.check_times(0.0, 0.25, 4)
     h, v = np.linspace(1.0, 0.0, 5), np.linspace(0.0, -2.0, 5)
-    told = file.compare({"h": h, "v": v}, 1e-4, "completed")
-    assert told.agrees
-    assert told.words == "golden.csv: equal to the last bit at 3 of 5 samples: h, v"
+    comparison = file.compare({"h": h, "v": v}, 1e-4, "completed")
+    assert comparison.agrees
+    assert comparison.words == "golden.csv: equal to the last bit at 3 of 5 samples: h, v"
     v[2] = -0.9
-    told = file.compare({"h": h, "v": v}, 1e-4, "completed")
-    assert told.words == (
+    comparison = file.compare({"h": h, "v": v}, 1e-4, "completed")
+    assert comparison.words == (
         "golden.csv: differs: v at t = 0.5 s is -0.9, golden -1: difference 0.1, allowed 0.0002 "
         "(1 of 6 values, in v)"
     )
@@ -77,9 +77,9 @@ def test_the_worst_value_is_told_with_its_time_and_both_values() -> None:
 def test_what_is_not_a_number_never_agrees() -> None:
     file = golden("time,h\n0,1\n1,2\n")
     file.check_times(0.0, 1.0, 1)
-    told = file.compare({"h": np.array([1.0, np.nan])}, 1.0, "completed")
-    assert not told.agrees
-    assert "h at t = 1 s is nan" in told.words
+    comparison = file.compare({"h": np.array([1.0, np.nan])}, 1.0, "completed")
+    assert not comparison.agrees
+    assert "h at t = 1 s is nan" in comparison.words
     assert '"nan" is not a finite number' in refusal("time,h\n0,1\n1,nan\n")
     assert "the cell is empty" in refusal("time,h\n0,1\n1,\n")
 
@@ -87,9 +87,9 @@ def test_what_is_not_a_number_never_agrees() -> None:
 def test_a_run_that_ended_before_the_file_differs() -> None:
     file = golden("time,h\n0,1\n1,1\n2,1\n")
     file.check_times(0.0, 1.0, 2)
-    told = file.compare({"h": np.ones(2)}, 1.0, "crashed: why")
-    assert not told.agrees
-    assert told.words == "golden.csv: differs: the run ended before its last time, 2 s (crashed: why)"
+    comparison = file.compare({"h": np.ones(2)}, 1.0, "crashed: why")
+    assert not comparison.agrees
+    assert comparison.words == "golden.csv: differs: the run ended before its last time, 2 s (crashed: why)"
 
 
 def test_arrays_and_booleans_are_numbers() -> None:

@@ -83,8 +83,8 @@ def test_another_importer_finds_the_same_events(tmp_path: Path) -> None:
     theirs = fmpy.simulate_fmu(
         str(path), stop_time=1.2, output_interval=0.05, fmi_type="ModelExchange", relative_tolerance=1e-9
     )
-    found = np.interp(ours["time [s]"], theirs["time"], theirs["h"])
-    assert ours["h [1]"].to_numpy() == pytest.approx(found, abs=1e-3)
+    interpolated = np.interp(ours["time [s]"], theirs["time"], theirs["h"])
+    assert ours["h [1]"].to_numpy() == pytest.approx(interpolated, abs=1e-3)
 
 
 def test_exported_equations_agree_with_another_solver(pendulum_fmu: Path, tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def faults_of(path: Path | str, **settings: object) -> str:
 
 def test_everything_that_is_not_possible_is_told_at_once(tmp_path: Path) -> None:
     path = model_fmu(tmp_path, "2.0", "lag")
-    told = faults_of(
+    faults = faults_of(
         path,
         inputs=csv(tmp_path, "time,v,uu [V]\n0,1,1\n"),
         parameters={"ratte": 1.0, "rate": "3 [kg]", "x": "fast", "name": None, "u": [1.0]},
@@ -196,7 +196,7 @@ def test_everything_that_is_not_possible_is_told_at_once(tmp_path: Path) -> None
         'no output "y"',
         "step_timeout = 0.0 is not possible",
     ):
-        assert words in told
+        assert words in faults
 
 
 @pytest.mark.parametrize(
@@ -219,9 +219,9 @@ def test_inputs_outside_their_declared_range_are_refused(tmp_path: Path) -> None
     whole = V("n", 5, "Integer", causality="input", variability="discrete", start="0")
     bounded = V("u", 0, causality="input", start="0", more={"min": "-1", "max": "1"})
     path = write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", (bounded, whole)), model_library("2.0"))
-    told = faults_of(path, inputs=csv(tmp_path, "time,u,n\n0,0,1\n1,1.5,2.5\n"), stop=1.0)
-    assert "u = 1.5 at t = 1 s is not possible; allowed: [-1, 1]" in told
-    assert "n = 2.5 at t = 1 s is not possible; allowed: an integer" in told
+    faults = faults_of(path, inputs=csv(tmp_path, "time,u,n\n0,0,1\n1,1.5,2.5\n"), stop=1.0)
+    assert "u = 1.5 at t = 1 s is not possible; allowed: [-1, 1]" in faults
+    assert "n = 2.5 at t = 1 s is not possible; allowed: an integer" in faults
 
 
 @pytest.mark.parametrize(
@@ -273,7 +273,9 @@ def test_arguments_of_wrong_types_are_named_all_at_once() -> None:
     }
     with pytest.raises(ConfigError) as caught:
         simulate("pendulum", **wrong)
-    told = [f"{name} = {value!r} is not possible; needed: " for name, value in wrong.items()]
-    assert [fault[: len(words)] for fault, words in zip(caught.value.faults, told, strict=True)] == told
+    expected = [f"{name} = {value!r} is not possible; needed: " for name, value in wrong.items()]
+    assert [
+        fault[: len(words)] for fault, words in zip(caught.value.faults, expected, strict=True)
+    ] == expected
     with pytest.raises(ConfigError, match=r"outputs = \[1\] is not possible; needed: a list of names"):
         simulate("pendulum", outputs=[1])  # type: ignore[list-item]

@@ -93,16 +93,16 @@ def test_all_is_taken_and_one_table_joins(folder: Path) -> None:
     assert (head.name, head.title, head.source, head.seeds) == ("mine", "", "a paper", [1, 2])
     assert head.based_on == ["base"]
     assert list(resolved.problems) == list(base.problems)
-    for problem, one in resolved.problems.items():
-        own, theirs = one.study, base.problems[problem].study
-        assert list(own.controllers) == ["mfapc", "pid", "mine"]
-        assert {key: own.controllers[key] for key in theirs.controllers} == theirs.controllers
+    for problem, extending in resolved.problems.items():
+        study, theirs = extending.study, base.problems[problem].study
+        assert list(study.controllers) == ["mfapc", "pid", "mine"]
+        assert {key: study.controllers[key] for key in theirs.controllers} == theirs.controllers
         same = {"controllers": theirs.controllers, "report": theirs.report}
-        assert replace(own, **same) == theirs
-        assert own.report.limitations == ["short"]
-        shown = {panel.title: panel.controllers for panel in own.report.panels}
+        assert replace(study, **same) == theirs
+        assert study.report.limitations == ["short"]
+        shown = {panel.title: panel.controllers for panel in study.report.panels}
         assert shown == {"Both": ["mfapc", "pid"], "One": ["pid"], "Mine": ["mine"]}
-    assert [one for one in ids(resolved) if "_mine_" not in one] == ids(base)
+    assert [case_id for case_id in ids(resolved) if "_mine_" not in case_id] == ids(base)
 
 
 def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: Path) -> None:
@@ -158,18 +158,21 @@ def test_what_the_file_says_counts(folder: Path) -> None:
     section = study.controllers["mfapc"]
     assert (section.settings["lambda_u"], section.settings["horizon"], section.tuned) == (0.7, 4, None)
     assert list(study.controllers) == ["mfapc"]
-    assert ([one.controllers for one in study.report.panels], study.report.limitations) == ([["mfapc"]], [])
+    assert ([panel.controllers for panel in study.report.panels], study.report.limitations) == (
+        [["mfapc"]],
+        [],
+    )
     assert study.report.reference_points is None
 
 
 def test_settings_of_a_file_count_in_all_problems_and_are_not_said_to_be_tuned(folder: Path) -> None:
     base = read(folder, 'extends = "below/base.toml"')
     changed = read(folder, 'extends = "below/base.toml"\ncontrollers.mfapc.settings.lambda_u = 0.9')
-    one = read(
+    in_one_problem = read(
         folder, 'extends = "below/base.toml"\ncontrollers.mfapc.problems.pendulum.settings.horizon = 6'
     )
 
-    def told(resolved: ResolvedProblems) -> dict[str, Any]:
+    def settings_of(resolved: ResolvedProblems) -> dict[str, Any]:
         sections = {name: of.study.controllers["mfapc"] for name, of in resolved.problems.items()}
         keys = ("lambda_u", "horizon")
         return {
@@ -177,15 +180,15 @@ def test_settings_of_a_file_count_in_all_problems_and_are_not_said_to_be_tuned(f
             for name, section in sections.items()
         }
 
-    assert told(base) == {"pendulum": (0.5, 4, True), "oscillator": (2.0, 4, True)}
-    assert told(changed) == {"pendulum": (0.9, 4, False), "oscillator": (0.9, 4, False)}
-    assert told(one) == {"pendulum": (0.5, 6, False), "oscillator": (2.0, 4, True)}
+    assert settings_of(base) == {"pendulum": (0.5, 4, True), "oscillator": (2.0, 4, True)}
+    assert settings_of(changed) == {"pendulum": (0.9, 4, False), "oscillator": (0.9, 4, False)}
+    assert settings_of(in_one_problem) == {"pendulum": (0.5, 6, False), "oscillator": (2.0, 4, True)}
 
 
 def test_another_type_drops_what_was_said_of_the_first(folder: Path) -> None:
     resolved = read(folder, 'extends = "below/base.toml"\ncontrollers.mfapc = { type = "pid" }')
-    for one in resolved.problems.values():
-        section = one.study.controllers["mfapc"]
+    for problem in resolved.problems.values():
+        section = problem.study.controllers["mfapc"]
         assert (section.type, section.tuned) == ("pid", None)
         assert "lambda_u" not in section.settings
 
@@ -226,8 +229,8 @@ def test_a_flat_study_is_extended_and_another_plant_replaces_the_first(tmp_path:
     assert study.plant.parameters == {"mass": 1.1}
     assert study.report.reproduction is None
     assert study.report.panels
-    told = faults(tmp_path, 'extends = "paper"\nplant = { fmu = "no.fmu" }')
-    assert [fault for fault in told if "no.fmu" in fault] == [
+    messages = faults(tmp_path, 'extends = "paper"\nplant = { fmu = "no.fmu" }')
+    assert [fault for fault in messages if "no.fmu" in fault] == [
         f"mine.toml:2: plant.fmu: {tmp_path / 'no.fmu'}: no such file"
     ]
     assert faults(tmp_path, 'extends = "paper"\nproblems.a.study = "mimo"') == [
@@ -281,8 +284,8 @@ def test_every_fault_has_the_line_of_the_file_that_says_it(folder: Path) -> None
         "below/base.toml:11: problems.pendulum.bounds.torque.maxx: unknown key",
         "below/base.toml:30: controllers.pid.settings.proportinal: unknown setting",
     ]
-    told = faults(folder, text)
-    assert [next((s for s in starts if one.startswith(s)), one) for one in told] == starts
+    messages = faults(folder, text)
+    assert [next((s for s in starts if message.startswith(s)), message) for message in messages] == starts
 
 
 def test_in_python_and_written_out(folder: Path) -> None:
@@ -317,7 +320,7 @@ def test_files_that_a_sweep_names_are_the_bases(folder: Path) -> None:
     resolved = read(
         folder, 'extends = "below/base.toml"\ncontrollers.pid = false\nproblems.oscillator = false'
     )
-    own, gusts, longer = (one.study for one in resolved.problems.values())
+    first, gusts, longer = (problem.study for problem in resolved.problems.values())
     (wind,) = gusts.scenarios["windy"].disturbances["torque"]
     assert Path(wind.file) == below / "gusts.csv"  # type: ignore[union-attr]
-    assert (own.name, longer.varied) == ("pendulum", {"controllers.mfapc.settings.horizon": 5})
+    assert (first.name, longer.varied) == ("pendulum", {"controllers.mfapc.settings.horizon": 5})

@@ -74,7 +74,13 @@ SIGNALS = st.one_of(
 
 def vars_of(signal: Any) -> list[float]:
     return list(
-        np.concatenate([np.ravel(getattr(signal, one.name)) for one in fields(signal) if one.name != "unit"])
+        np.concatenate(
+            [
+                np.ravel(getattr(signal, declared.name))
+                for declared in fields(signal)
+                if declared.name != "unit"
+            ]
+        )
     )
 
 
@@ -189,9 +195,9 @@ def test_results_as_tables(results: StudyResults) -> None:
     assert table[["problem", "controller"]].values.tolist() == [
         [name, key] for name in ("steps", "ramp") for key in ("DeePC-short", "MFAPC", "PID")
     ]
-    own = frame[(frame["problem"] == "ramp") & (frame["controller"] == "MFAPC")][rmse]
+    rows = frame[(frame["problem"] == "ramp") & (frame["controller"] == "MFAPC")][rmse]
     row = table[(table["problem"] == "ramp") & (table["controller"] == "MFAPC")].iloc[0]
-    assert row["median"] == pytest.approx(np.median(own))
+    assert row["median"] == pytest.approx(np.median(rows))
     with pytest.raises(ConfigError, match=r'no metric "rsme\.angle"; did you mean "rmse\.angle"'):
         results.compare("rsme.angle", baseline="MFAPC")
     with pytest.raises(ConfigError, match="MFACP"):
@@ -207,7 +213,7 @@ def test_results_as_tables(results: StudyResults) -> None:
 
 def test_one_run_of_them(results: StudyResults) -> None:
     trace = results.trace("DeePC, short", problem="steps", scenario="noisy", seed=1)
-    case = next(one for one in results.cases if one.id.startswith("steps_DeePC-short_noisy_seed1"))
+    case = next(result for result in results.cases if result.id.startswith("steps_DeePC-short_noisy_seed1"))
     np.testing.assert_array_equal(trace.y, case.trace().y)
     with pytest.raises(ConfigError, match="several problems: steps, ramp; say which problem"):
         results.trace("MFAPC")
@@ -457,11 +463,11 @@ def test_python_says_what_a_file_can_of_a_scenario_and_of_signals(
         ),
         {"PID": PID()},
     )
-    one = read_study(str(made.write(tmp_path / "elsewhere" / "study.toml"))).problem
-    np.testing.assert_allclose(one.reference["angle"].at(np.array([0.2, 0.5])), [0.0, np.deg2rad(20.0)])
-    assert one.study.scenarios["windy"].drifts == [drift]
-    assert one.scenario_bounds["windy"] == {"torque": (-1.0, 1.0)}
-    assert one.conditions["windy"].effects == conditions.effects
-    (disturbance,) = one.conditions["windy"].disturbances["angle"]
+    reread = read_study(str(made.write(tmp_path / "elsewhere" / "study.toml"))).problem
+    np.testing.assert_allclose(reread.reference["angle"].at(np.array([0.2, 0.5])), [0.0, np.deg2rad(20.0)])
+    assert reread.study.scenarios["windy"].drifts == [drift]
+    assert reread.scenario_bounds["windy"] == {"torque": (-1.0, 1.0)}
+    assert reread.conditions["windy"].effects == conditions.effects
+    (disturbance,) = reread.conditions["windy"].disturbances["angle"]
     np.testing.assert_allclose(disturbance.at(np.zeros(1)), np.deg2rad(2.0))
-    assert (one.study.loop.case_timeout, one.study.loop.memory_limit) == (60.0, 1.0)
+    assert (reread.study.loop.case_timeout, reread.study.loop.memory_limit) == (60.0, 1.0)

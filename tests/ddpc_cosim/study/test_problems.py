@@ -69,14 +69,14 @@ def faults(folder: Path, text: str) -> list[str]:
 
 def test_each_problem_is_a_study_with_what_differs_there(tmp_path: Path) -> None:
     resolved = read(tmp_path, TWO)
-    pendulum, oscillator = (one.study for one in resolved.problems.values())
+    pendulum, oscillator = (problem.study for problem in resolved.problems.values())
     assert (resolved.head.name, resolved.head.title, pendulum.title) == ("both", "Two plants", "The pendulum")
     assert (pendulum.name, oscillator.name) == ("pendulum", "oscillator")
     assert list(pendulum.controllers) == ["mfapc"]
     assert list(oscillator.controllers) == ["mfapc", "pid"]
-    settings = [one.controllers["mfapc"].settings for one in (pendulum, oscillator)]
-    assert [one["lambda_u"] for one in settings] == [0.5, 2.0]
-    assert {one["horizon"] for one in settings} == {4}
+    settings = [study.controllers["mfapc"].settings for study in (pendulum, oscillator)]
+    assert [values["lambda_u"] for values in settings] == [0.5, 2.0]
+    assert {values["horizon"] for values in settings} == {4}
     assert oscillator.controllers["mfapc"].note == "slower here"
     assert pendulum.seeds == oscillator.seeds == [1, 2]
     with pytest.raises(ValueError, match="too many"):
@@ -114,15 +114,15 @@ def test_a_problem_takes_the_tables_of_another_file_and_replaces_keys_of_them(tm
     two, _, _ = text.partition("[problems.other]")
     (fault,) = faults(tmp_path, two.replace("{ mass = 0.5 }", "{ weight = 0.5 }"))
     assert 'study.toml:7: problems.longer.plant.parameters: no parameter "weight"' in fault
-    as_it_is, longer = (one.study for one in read(tmp_path, two).problems.values())
+    as_it_is, longer = (problem.study for problem in read(tmp_path, two).problems.values())
     (windy,) = as_it_is.scenarios["windy"].disturbances["torque"]
     assert Path(windy.file) == tmp_path / "below" / "wind.csv"  # type: ignore[union-attr]
     assert (longer.loop.duration, longer.loop.sampling_time) == (3.0, 0.1)
     assert (longer.plant.name, longer.plant.parameters) == ("pendulum", {"mass": 0.5})
     # Another plant is another table: nothing of the pendulum's is left in it; what names its signals is told.
-    told = "\n".join(faults(tmp_path, text))
-    assert 'study.toml:11: problems.other.reference: no controlled output "angle"' in told
-    assert "problems.other.plant" not in told
+    messages = "\n".join(faults(tmp_path, text))
+    assert 'study.toml:11: problems.other.reference: no controlled output "angle"' in messages
+    assert "problems.other.plant" not in messages
 
 
 def test_every_fault_of_every_problem_has_its_place_and_shared_ones_are_told_once(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_every_fault_of_every_problem_has_its_place_and_shared_ones_are_told_onc
         "lambda_u = 2.0": "lambda_u = -2.0",
     }.items():
         text = text.replace(right, wrong)
-    told = [fault.removeprefix("study.toml:") for fault in faults(tmp_path, text)]
+    messages = [fault.removeprefix("study.toml:") for fault in faults(tmp_path, text)]
     starts = [
         "11: problems.pendulum.bounds: ",
         "16: problems.oscillator.reference.position.valeu: ",
@@ -147,7 +147,7 @@ def test_every_fault_of_every_problem_has_its_place_and_shared_ones_are_told_onc
         "30: loop: each problem has its own: problems.NAME.loop",
         "32: problem: unknown key; ",
     ]
-    assert [next((s for s in starts if one.startswith(s)), one) for one in told] == starts
+    assert [next((s for s in starts if message.startswith(s)), message) for message in messages] == starts
 
 
 @pytest.mark.parametrize(
@@ -185,13 +185,13 @@ def test_what_is_wrong_with_how_problems_are_put_together(
 @pytest.mark.parametrize("path", ["\\u0000", "a" * 5000], ids=["null", "long"])
 def test_what_no_file_can_be_called_is_told(tmp_path: Path, path: str) -> None:
     flat = FLAT.replace("wind.csv", path).replace('name = "pendulum"', f'fmu = "{path}"')
-    assert [one for one in faults(tmp_path, flat) if "study.toml:2: plant.fmu: " in one]
+    assert [message for message in faults(tmp_path, flat) if "study.toml:2: plant.fmu: " in message]
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "flat.toml").write_text(flat, encoding="utf-8")
     (fault,) = faults(tmp_path, f'extends = "{path}"')
     assert fault.startswith("study.toml:1: extends: no study ")
-    told = faults(tmp_path, 'extends = "below/flat.toml"')
-    assert [one for one in told if "below/flat.toml:2: plant.fmu: " in one]
+    messages = faults(tmp_path, 'extends = "below/flat.toml"')
+    assert [message for message in messages if "below/flat.toml:2: plant.fmu: " in message]
 
 
 def test_more_samples_than_can_be_recorded_are_an_error(tmp_path: Path) -> None:
@@ -218,13 +218,13 @@ def test_a_problem_without_controllers_and_a_shared_fault_name_the_problem(tmp_p
 def test_reference_points_are_two_controllers_of_every_problem(tmp_path: Path) -> None:
     points = "[report]\nreference_points = {{ zero = {!r}, full = {!r} }}\n"
     whole = read(tmp_path, TWO.replace("problems.pendulum = false", "") + points.format("pid", "mfapc")).whole
-    assert all(one.report.reference_points.zero == "pid" for one in whole.problems.values())  # type: ignore[union-attr]
+    assert all(study.report.reference_points.zero == "pid" for study in whole.problems.values())  # type: ignore[union-attr]
     assert WholeStudy.of_tables(whole.tables()) == whole
-    told = [
+    messages = [
         fault.partition("reference_points.")[2]
         for fault in faults(tmp_path, TWO + points.format("pid", "mfap"))
     ]
-    assert told == [
+    assert messages == [
         'zero: no controller "pid"; there are: mfapc (problem pendulum)',
         'full: no controller "mfap"; did you mean "mfapc"?',
     ]
@@ -259,7 +259,7 @@ def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -
     times = [case.folder.stat().st_mtime_ns for case in results.cases]
     shutil.rmtree(results.cases[3].folder)
     again = load_results(tmp_path / "out").problems()
-    assert [len(one.damaged) for one in again] == [0, 1]
+    assert [len(loaded.damaged) for loaded in again] == [0, 1]
     rerun = run_file(write(tmp_path, TWO))
     changed = [old != case.folder.stat().st_mtime_ns for old, case in zip(times, rerun.cases, strict=True)]
     assert [i for i, is_new in enumerate(changed) if is_new] == [3]

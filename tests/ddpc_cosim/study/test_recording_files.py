@@ -58,8 +58,8 @@ def cases(folder: Path, text: str) -> dict[str, Case]:
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dict[str, Case]]:
     """The recording of the experiment's study, and its cases."""
-    found = cases(tmp_path_factory.mktemp("experiment"), HEAD + EXPERIMENT + METHODS)
-    case = found["deepc"]
+    by_controller = cases(tmp_path_factory.mktemp("experiment"), HEAD + EXPERIMENT + METHODS)
+    case = by_controller["deepc"]
     plant = case.plant.open(names(case.inputs), names(case.measurements))
     try:
         recording = record(
@@ -71,7 +71,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dic
         )
     finally:
         plant.close()
-    return recording, found
+    return recording, by_controller
 
 
 def test_a_file_teaches_what_the_experiment_taught(
@@ -80,9 +80,9 @@ def test_a_file_teaches_what_the_experiment_taught(
     recording, others = experiment
     signals = others["deepc"].inputs, others["deepc"].outputs, others["deepc"].measurements
     recording.write_csv(tmp_path / "log.csv", *signals)
-    found = cases(tmp_path, HEAD + 'recording.file = "log.csv"\n' + METHODS)
-    assert found.keys() == CONTROLLERS.keys()
-    for name, case in found.items():
+    by_controller = cases(tmp_path, HEAD + 'recording.file = "log.csv"\n' + METHODS)
+    assert by_controller.keys() == CONTROLLERS.keys()
+    for name, case in by_controller.items():
         trace, other = run_case(case), run_case(others[name])
         assert trace.completed, trace.reason
         assert np.array_equal(trace.u, other.u), name
@@ -164,8 +164,8 @@ def test_all_that_is_wrong_with_files_in_one_message(tmp_path: Path) -> None:
     lines[7] = lines[7].replace("0,6", "0,9")
     lines[9] = "0,8;x;nan;1"
     (tmp_path / "bad.csv").write_text("\n".join(lines))
-    found = faults(tmp_path, FROM_FILES + 'file = ["log.csv", "bad.csv", "absent.csv"]')
-    assert [fault.removeprefix("study.toml:11: recording.file: ") for fault in found] == [
+    messages = faults(tmp_path, FROM_FILES + 'file = ["log.csv", "bad.csv", "absent.csv"]')
+    assert [fault.removeprefix("study.toml:11: recording.file: ") for fault in messages] == [
         'bad.csv: no column "M"; there are: angle, angular_velocity, t, torque',
         'bad.csv, column "angle [bar]": unit "bar" does not fit angle; allowed: rad, deg, °, rev',
         'bad.csv, line 8, column "t [s]": 0.9 s is 0.4 s after the row before; '
@@ -178,18 +178,18 @@ def test_all_that_is_wrong_with_files_in_one_message(tmp_path: Path) -> None:
 
 def test_what_does_not_go_with_files(tmp_path: Path) -> None:
     log(tmp_path)
-    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"\nsamples = 100')
-    assert found == (
+    (message,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"\nsamples = 100')
+    assert message == (
         "study.toml:12: recording.samples: belongs to an experiment, and file to logged data; "
         "needed: one of them"
     )
     log(tmp_path, rows=15)
-    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"')
-    assert found.endswith("recording.file: the number of rows, 15 is too short for deepc, which needs 21")
-    (found,) = faults(
+    (message,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"')
+    assert message.endswith("recording.file: the number of rows, 15 is too short for deepc, which needs 21")
+    (message,) = faults(
         tmp_path, 'recording = { file = "log.csv", columns = { torqe = "M" }, time_column = "t" }'
     )[:1]
-    assert found.endswith(
+    assert message.endswith(
         'recording.columns: no input, output or measurement that takes part "torqe"; did you mean "torque"?'
     )
     missing = faults(tmp_path, "recording = { columns = { torque = 'M' } }")
@@ -200,8 +200,8 @@ def test_what_does_not_go_with_files(tmp_path: Path) -> None:
     ]
     log(tmp_path)
     at_end = HEAD.replace("duration = 2.0", 'duration = 2.0, start = "recording-end"')
-    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"', head=at_end)
-    assert found.endswith('"recording-end" needs an experiment to go on from, not files')
+    (message,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"', head=at_end)
+    assert message.endswith('"recording-end" needs an experiment to go on from, not files')
 
 
 def test_in_python_the_same_rules_hold(tmp_path: Path) -> None:
@@ -258,19 +258,19 @@ def test_inputs_can_be_excited_each_in_its_way(tmp_path: Path) -> None:
     steps = 'pump_2 = { kind = "steps", times = [0, 50], values = [2, 3] }'
     u = excitation(tmp_path, head + prbs + steps)
     assert u[:, 1].tolist() == [2.0] * 10 + [3.0] * 30
-    one = 'pump_{} = {{ kind = "{}", low = 2.0, high = 4.0{} }}\n'
+    signal = 'pump_{} = {{ kind = "{}", low = 2.0, high = 4.0{} }}\n'
     for kind, keys in {
         "uniform": "",
         "prbs": "",
         "multisine": ', max_frequency = 0.08, phases = "random"',
         "chirp": ", from_frequency = 0.01, to_frequency = 0.1",
     }.items():
-        both = head + one.format(1, kind, keys) + one.format(2, kind, keys)
+        both = head + signal.format(1, kind, keys) + signal.format(2, kind, keys)
         u = excitation(tmp_path, both)
         assert 2.0 - 1e-12 <= u.min() < u.max() <= 4.0 + 1e-12
         assert abs(np.corrcoef(u.T)[0, 1]) < 0.9
         assert not np.array_equal(u, excitation(tmp_path, both, seed=4))
-    alike = one.format(1, "uniform", "") + "pump_2 = { low = 2.0, high = 4.0 }\n"
+    alike = signal.format(1, "uniform", "") + "pump_2 = { low = 2.0, high = 4.0 }\n"
     assert np.array_equal(excitation(tmp_path, head + alike), UniformRandom(2.0, 4.0, 40, 3).draw(2))
 
 

@@ -69,8 +69,8 @@ def said(name: str) -> list[str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         read_study(name)
-    assert all(one.category is CosimWarning for one in caught)
-    return [str(one.message) for one in caught]
+    assert all(warning.category is CosimWarning for warning in caught)
+    return [str(warning.message) for warning in caught]
 
 
 def test_a_seed_that_may_be_meant_as_a_number_of_seeds_is_told(write: Callable[[str], str]) -> None:
@@ -107,13 +107,13 @@ def test_a_reference_beyond_the_limit_is_a_limitation_in_the_report(write: Calla
 
 
 def test_a_package_that_is_missing_is_told_first_and_the_others_run(write: Callable[[str], str]) -> None:
-    (told,) = said(write(study() + ONE + TWO))
-    assert told.startswith(REMEDY)
-    assert told.endswith("; without, all cases of the controllers one, two will fail, the others are run")
+    (message,) = said(write(study() + ONE + TWO))
+    assert message.startswith(REMEDY)
+    assert message.endswith("; without, all cases of the controllers one, two will fail, the others are run")
     result = CliRunner().invoke(main, ["run", "study.toml", "--out", "out", "--no-report"])
     assert result.exit_code == 1
     lines = result.stderr.splitlines()
-    assert lines[0] == f"warning: {told}"
+    assert lines[0] == f"warning: {message}"
     # Doing nothing is a case of its own; those that fail before the first sample simulate nothing.
     assert any("4/4 cases, 4 s simulated" in line for line in lines)
     (failed,) = (line for line in lines if f"controller-error: before the first sample: {REMEDY}" in line)
@@ -139,13 +139,13 @@ def test_a_limit_of_memory_that_is_not_looked_at_is_told(
     assert not said(write(limited))
     monkeypatch.setattr(limits, "_IS_LOOKED_AT", False)
     monkeypatch.setattr(platform, "system", lambda: "Darwin")
-    told = "memory_limit = 1.5 GB does nothing on this system (Darwin): "
-    told += "what a process has is looked at on Linux only"
-    assert said(write(limited)) == [told]
+    message = "memory_limit = 1.5 GB does nothing on this system (Darwin): "
+    message += "what a process has is looked at on Linux only"
+    assert said(write(limited)) == [message]
     assert not said(write(study()))
     result = CliRunner().invoke(main, ["run", write(limited), "--out", "out", "--dry-run"])
-    assert result.stderr.splitlines()[0] == f"warning: {told}"
-    with pytest.warns(CosimWarning, match=rf"pendulum.*\.fmu: {re.escape(told)}"):
+    assert result.stderr.splitlines()[0] == f"warning: {message}"
+    with pytest.warns(CosimWarning, match=rf"pendulum.*\.fmu: {re.escape(message)}"):
         FMUPlant(pendulum_fmu, isolated=True, memory_limit=1.5).close()
 
 

@@ -276,20 +276,20 @@ PROBLEMS = {
 def classes_of(hint: Any, table: Any = None) -> Sequence[Any]:
     """Return the classes that a type names, or those that a table is of."""
     if get_origin(hint) is Annotated:
-        kinds = next((one for one in get_args(hint) if isinstance(one, Kinds)), None)
+        kinds = next((argument for argument in get_args(hint) if isinstance(argument, Kinds)), None)
         if kinds and table is not None:
             return [kinds.classes[table.get(KIND, kinds.default)]]
         return [*kinds.classes.values()] if kinds else classes_of(get_args(hint)[0], table)
     if get_origin(hint) in (Union, UnionType):
-        return [kind for one in get_args(hint) for kind in classes_of(one, table)]
+        return [kind for argument in get_args(hint) for kind in classes_of(argument, table)]
     return [hint] if dataclasses.is_dataclass(hint) else []
 
 
 def all_keys(kind: Any) -> Iterator[tuple[str, str]]:
     """Yield the keys of a class and of what its fields hold, with the class that declares each."""
-    for key, one in declared_fields(kind).items():
+    for key, field in declared_fields(kind).items():
         yield kind.__name__, key
-        pending = [one.hint]
+        pending = [field.hint]
         while pending:
             hint = pending.pop()
             pending += [] if classes_of(hint) else get_args(hint)
@@ -323,8 +323,8 @@ def said_in(tables: Mapping[str, Any]) -> set[tuple[str, str]]:
 def test_python_says_every_key_of_a_study_file(tmp_path: Path) -> None:
     """Also of those that are yet to come: whoever adds one finds here that Python must say it, too."""
     said = said_in(tomllib.loads(study().write(tmp_path / "all.toml").read_text("utf-8")))
-    for one in PROBLEMS.values():
-        said |= said_in(one.tables())
+    for problem in PROBLEMS.values():
+        said |= said_in(problem.tables())
     assert set(all_keys(StudyTables)) - said == OF_TOOLS
     assert {key for kind, key in said if kind == "ScenarioSection"} >= set(all_conditions())
 
@@ -346,7 +346,7 @@ def is_required(field: dataclasses.Field[Any]) -> bool:
 def test_a_file_says_every_field_of_the_objects_in_python() -> None:
     logged = Recording(np.zeros((5, 1)), np.zeros((5, 1)), np.zeros((5, 1)), 0.1)
     problems = [*PROBLEMS.values(), pendulum(excitation=None, stabiliser=None, recording=logged)]
-    scenarios = [one for problem in problems for one in problem.scenarios.values()]
+    scenarios = [scenario for problem in problems for scenario in problem.scenarios.values()]
     objects: Mapping[Any, Any] = {
         Problem: (problems, lambda problem: problem.tables()),
         Scenario: (scenarios, lambda scenario: scenario.table(["torque"])),
@@ -354,12 +354,14 @@ def test_a_file_says_every_field_of_the_objects_in_python() -> None:
     }
     for kind, (given, tables) in objects.items():
         fields = [field for field in dataclasses.fields(kind) if not is_required(field)]
-        silent = {f.name for f in fields if not any(is_said(one, f, tables) for one in given)}
+        silent = {f.name for f in fields if not any(is_said(value, f, tables) for value in given)}
         assert silent == set(), kind
 
 
 def ids(resolved: Any) -> list[str]:
-    return [case.id for one in resolved.problems.values() for case in cases_of(one, one.plant.built())]
+    return [
+        case.id for problem in resolved.problems.values() for case in cases_of(problem, problem.plant.built())
+    ]
 
 
 @pytest.mark.filterwarnings("ignore:the reference of angle")

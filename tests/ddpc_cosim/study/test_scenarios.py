@@ -146,9 +146,9 @@ def test_cases_of_scenarios_differ_by_their_conditions_alone(tmp_path: Path) -> 
 
 def test_limits_of_a_scenario_come_before_all_others(tmp_path: Path) -> None:
     """A side left out is the plant's."""
-    own = "bounds.pump_1 = { min = 1.0, max = 9.0 }\n[scenarios.calm]"
+    limits = "bounds.pump_1 = { min = 1.0, max = 9.0 }\n[scenarios.calm]"
     tight = "[scenarios.tight]\nbounds.pump_1 = { max = 2900, unit = 'mV' }\n"
-    results = results_of(tmp_path, TANK.replace("[scenarios.calm]", own) + tight)
+    results = results_of(tmp_path, TANK.replace("[scenarios.calm]", limits) + tight)
     runs = [results[name].trace() for name in ("calm", "tight")]
     assert [(run.bounds.u_min.tolist(), run.bounds.u_max.tolist()) for run in runs] == [
         ([1.0], [9.0]),
@@ -297,8 +297,8 @@ def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
 def test_an_input_has_its_value_from_one_place(tmp_path: Path, elsewhere: str, who: str) -> None:
     fault = f"inputs.pump_2: this input is set by {who} too; leave one of them out"
     tank = {'name = "quadruple-tank"': f"fmu = {str(build_fmu(MODEL))!r}"}
-    own = 'inputs.pump_2 = { kind = "constant", value = 2.0 }'
-    assert faults_of(tmp_path, f"{elsewhere}\n{own}", **tank) == [fault]
+    signal = 'inputs.pump_2 = { kind = "constant", value = 2.0 }'
+    assert faults_of(tmp_path, f"{elsewhere}\n{signal}", **tank) == [fault]
 
 
 def test_a_supplied_fmu_too_has_inputs_with_signals_of_their_own(tmp_path: Path) -> None:
@@ -371,9 +371,9 @@ RECORDED = "excitation.pump_1 = { low = 2.5, high = 3.5 }\n"
 
 def test_an_input_that_no_controller_drives_has_its_own_signal_in_the_recording(tmp_path: Path) -> None:
     """The study's, in place of each scenario's; a scenario's own comes before it; without one it rests."""
-    own = 'inputs.pump_2 = { kind = "constant", value = 2000.0, unit = "mV" }\n'
+    recorded = 'inputs.pump_2 = { kind = "constant", value = 2000.0, unit = "mV" }\n'
     text = (
-        TANK.replace(RECORDED, RECORDED + own)
+        TANK.replace(RECORDED, RECORDED + recorded)
         + """
 [scenarios.load]
 inputs.pump_2 = { kind = "constant", value = 3.5 }
@@ -386,7 +386,7 @@ recording.inputs.pump_2 = { kind = "constant", value = 2.5 }
     assert problem.conditions["calm"] == Conditions(inputs=resting, recorded_inputs=own_signal)
     assert problem.conditions["load"].inputs == {"pump_2": Constant(3.5)}
     assert problem.conditions["other"].recorded_inputs == {"pump_2": Constant(2.5)}
-    assert [one.name for one in problem.undriven["calm"]] == ["pump_2"]
+    assert [variable.name for variable in problem.undriven["calm"]] == ["pump_2"]
     given = {name: case.trace().applied[:, 0] for name, case in results_of(tmp_path, text).items()}
     assert {name: set(values) for name, values in given.items()} == {
         "calm": {3.0}, "load": {3.5}, "other": {3.0}

@@ -61,9 +61,13 @@ def cases(text: str, folder: Path) -> list[Case]:
 def test_a_scenario_s_preview_stands_in_place_of_the_loop_s(tmp_path: Path) -> None:
     scenarios = "[scenarios.plain]\n[scenarios.blind]\npreview = 0\n[scenarios.far]\npreview = 'horizon'\n"
     for loop, plain in (("", None), ("preview = 2", 2), ('preview = "horizon"', None)):
-        found = cases(SMALL.replace("duration = 1.0", f"duration = 1.0\n{loop}") + scenarios, tmp_path)
-        assert {case.scenario: case.preview for case in found} == {"plain": plain, "blind": 0, "far": None}
-        assert len({case.id.rpartition("_")[2] for case in found}) == 3
+        cases_here = cases(SMALL.replace("duration = 1.0", f"duration = 1.0\n{loop}") + scenarios, tmp_path)
+        assert {case.scenario: case.preview for case in cases_here} == {
+            "plain": plain,
+            "blind": 0,
+            "far": None,
+        }
+        assert len({case.id.rpartition("_")[2] for case in cases_here}) == 3
 
 
 def test_the_study_of_the_paper_is_in_order() -> None:
@@ -72,7 +76,9 @@ def test_the_study_of_the_paper_is_in_order() -> None:
     assert resolved.study.seeds == [5489, *range(30)]
     for name in ("paper", "claims"):
         controllers = read_study(name).problem.study.controllers.values()
-        sources = [one.tuned.source if one.tuned else "" for one in controllers if not one.variant_of]
+        sources = [
+            section.tuned.source if section.tuned else "" for section in controllers if not section.variant_of
+        ]
         assert all("of the paper" in source for source in sources)
     assert (names(resolved.inputs), names(resolved.outputs)) == (("torque",), ("angle",))
     assert names(resolved.measurements) == ("angle", "angular_velocity")
@@ -260,7 +266,7 @@ def test_what_difference_is_relevant_changes_no_case(relevant: str, tmp_path: Pa
 def test_what_cannot_be_relevant_is_refused(text: str, relevant: str, fault: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         cases(text + RELEVANT.format(relevant), tmp_path)
-    assert any(fault in one for one in caught.value.faults), caught.value.faults
+    assert any(fault in message for message in caught.value.faults), caught.value.faults
 
 
 OTHER: dict[str, Any] = {
@@ -311,7 +317,7 @@ def case_hash(case: Case) -> str:
 
 def test_every_field_of_a_case_is_known_to_decide_its_result_or_not_to(tmp_path: Path) -> None:
     """The seed, which decides it, too, comes in the end."""
-    assert {one.name for one in fields(Case)} == {*OTHER, *SAME, "seed"}
+    assert {field.name for field in fields(Case)} == {*OTHER, *SAME, "seed"}
     (case,) = cases(SMALL, tmp_path)
     original = case_hash(case)
     hashes = {name: case_hash(replace(case, **{name: value})) for name, value in OTHER.items()}
@@ -326,10 +332,9 @@ def test_every_field_of_a_case_is_known_to_decide_its_result_or_not_to(tmp_path:
 def test_doing_nothing_is_the_same_whoever_runs_beside_it(tmp_path: Path) -> None:
     """A controller's own limits, that keep it from resting, are not those of doing nothing."""
     ids = set()
-    for own in ("", "[controllers.mfapc.bounds]\ntorque = { min = 1.0, max = 2.0 }\n"):
-        text = (
-            f"[bounds]\ntorque = {{ min = -3.0, max = 3.0 }}\n{SMALL}{own}[controllers.pid]\ntype = 'pid'\n"
-        )
+    for limits in ("", "[controllers.mfapc.bounds]\ntorque = { min = 1.0, max = 2.0 }\n"):
+        head = f"[bounds]\ntorque = {{ min = -3.0, max = 3.0 }}\n{SMALL}"
+        text = f"{head}{limits}[controllers.pid]\ntype = 'pid'\n"
         driven = cases(text, tmp_path)
         for some in (driven, driven[1:]):
             (resting,) = doing_nothing(some)
@@ -373,8 +378,8 @@ def test_a_controller_is_built_once_before_it_runs(tmp_path: Path, monkeypatch: 
     excitation.torque = { low = -1.0, high = 1.0 }
     controller = { type = "counted:Counted" }
     """
-    found = cases(text.replace("[plant]", "seeds = [0, 1]\n[plant]"), tmp_path)
-    assert len(found) == 6
+    both_seeds = cases(text.replace("[plant]", "seeds = [0, 1]\n[plant]"), tmp_path)
+    assert len(both_seeds) == 6
     assert Counted.built == 4
 
 

@@ -61,23 +61,26 @@ def faults(folder: Path, sweep: str, text: str = FLAT) -> list[str]:
 
 
 def test_paths_are_set_crossed_within_a_table_together_with_zip_and_tables_follow(tmp_path: Path) -> None:
-    studies = {name: one.study for name, one in read(tmp_path, FLAT + SWEEP).problems.items()}
-    own, *variants = studies.values()
-    assert (own.varied, own.variant_of, own.loop.sampling_time) == ({}, "", 0.1)
-    assert [(one.loop.sampling_time, one.plant.parameters["mass"]) for one in variants[:4]] == [
+    studies = {name: problem.study for name, problem in read(tmp_path, FLAT + SWEEP).problems.items()}
+    unvaried, *variants = studies.values()
+    assert (unvaried.varied, unvaried.variant_of, unvaried.loop.sampling_time) == ({}, "", 0.1)
+    assert [(variant.loop.sampling_time, variant.plant.parameters["mass"]) for variant in variants[:4]] == [
         (0.1, 0.3),
         (0.1, 0.4),
         (0.2, 0.3),
         (0.2, 0.4),
     ]
-    together = [(one.loop.duration, one.scenarios["nominal"].events[0].time) for one in variants[4:6]]
+    together = [
+        (variant.loop.duration, variant.scenarios["nominal"].events[0].time) for variant in variants[4:6]
+    ]
     assert together == [(1.0, 0.5), (3.0, 1.0)]
     # Only what differs is run again.
     gains = [
-        {key: one.settings.get("proportional") for key, one in v.controllers.items()} for v in variants[6:]
+        {key: section.settings.get("proportional") for key, section in v.controllers.items()}
+        for v in variants[6:]
     ]
     assert gains == [{"pid": 1}, {"pid": 10}, {"pid": 100}]
-    assert {one.variant_of for one in variants} == {"swing"}
+    assert {variant.variant_of for variant in variants} == {"swing"}
     assert list(studies)[1] == "swing-loop.sampling_time-0.1-plant.parameters.mass-0.3"
     assert variants[0].title == "swing, loop.sampling_time = 0.1, plant.parameters.mass = 0.3"
 
@@ -120,18 +123,20 @@ def test_the_report_of_a_variant_names_only_the_controllers_that_it_has(tmp_path
     reference_points = { zero = "mfapc", full = "pid" }
     """
     swept = '[[sweep]]\n"controllers.pid.settings.proportional" = [2.0]\n'
-    own, variant = (one.study.report for one in read(tmp_path, FLAT + swept + report).problems.values())
-    assert (len(own.panels), own.reference_points is None) == (2, False)
+    unvaried, variant = (
+        problem.study.report for problem in read(tmp_path, FLAT + swept + report).problems.values()
+    )
+    assert (len(unvaried.panels), unvaried.reference_points is None) == (2, False)
     assert ([panel.controllers for panel in variant.panels], variant.reference_points) == ([["pid"]], None)
 
 
 def test_ranges() -> None:
     assert swept_values({"linear": [0.1, 0.5, 5]}) == [0.1, 0.2, 0.3, 0.4, 0.5]
     assert swept_values({"linear": [4, 8, 3]}) == [4, 6, 8]
-    assert all(type(one) is int for one in swept_values({"linear": [4, 8, 3]}))
+    assert all(type(value) is int for value in swept_values({"linear": [4, 8, 3]}))
     assert swept_values({"log": [1e-3, 10.0, 5]}) == [0.001, 0.01, 0.1, 1.0, 10.0]
-    found = swept_values({"log": [2.0, 3.0, 4]})
-    assert found == pytest.approx([2.0 * math.pow(1.5, i / 3) for i in range(4)], rel=1e-11)
+    values = swept_values({"log": [2.0, 3.0, 4]})
+    assert values == pytest.approx([2.0 * math.pow(1.5, i / 3) for i in range(4)], rel=1e-11)
     assert list(combinations({"a": [1, 2], "b": [3, 4], "zip": True})) == [{"a": 1, "b": 3}, {"a": 2, "b": 4}]
 
 
@@ -168,23 +173,34 @@ def test_what_is_wrong_with_a_sweep_has_its_line(tmp_path: Path, sweep: str, exp
 
 def test_a_fault_of_the_study_is_told_once_however_many_variants_have_it(tmp_path: Path) -> None:
     text = FLAT.replace("proportional", "proportinal")
-    told = faults(tmp_path, '"loop.duration" = { linear = [2, 21, 20] }', text)
-    assert len(told) == 1
-    assert told[0].startswith("7: controllers.pid.settings.proportinal: unknown setting")
+    messages = faults(tmp_path, '"loop.duration" = { linear = [2, 21, 20] }', text)
+    assert len(messages) == 1
+    assert messages[0].startswith("7: controllers.pid.settings.proportinal: unknown setting")
 
 
 def test_a_controller_s_sweep_has_ranges_and_values_together_too(tmp_path: Path) -> None:
     sweep = "sweep = { zip = true, proportional = { log = [1, 100, 3] }, integral = [0.1, 0.2, 0.3] } }"
     text = FLAT.replace("{ proportional = 1.0 } }", "{ proportional = 1.0 }, " + sweep)
-    settings = [one.settings for one in read(tmp_path, text).problem.study.controllers.values() if one.varied]
-    assert [(one["proportional"], one["integral"]) for one in settings] == [(1, 0.1), (10, 0.2), (100, 0.3)]
+    settings = [
+        section.settings
+        for section in read(tmp_path, text).problem.study.controllers.values()
+        if section.varied
+    ]
+    assert [(values["proportional"], values["integral"]) for values in settings] == [
+        (1, 0.1),
+        (10, 0.2),
+        (100, 0.3),
+    ]
 
 
 def test_the_report_has_a_row_for_each_variant_and_a_part_for_the_study_itself(tmp_path: Path) -> None:
     results = run_file(write(tmp_path, FLAT + '[[sweep]]\n"plant.parameters.mass" = [0.3, 0.4]\n'))
-    (own,) = results.problems()
-    assert (own.study.name, {case.problem for case in own.cases}) == ("swing", {"swing"})
-    assert [one.study.plant.parameters for one in results.variants("swing")] == [{"mass": 0.3}, {"mass": 0.4}]
+    (unvaried,) = results.problems()
+    assert (unvaried.study.name, {case.problem for case in unvaried.cases}) == ("swing", {"swing"})
+    assert [variant.study.plant.parameters for variant in results.variants("swing")] == [
+        {"mass": 0.3},
+        {"mass": 0.4},
+    ]
     page = render_page([results])
     assert page.count('<article class="study"') == 1
     assert re.findall(r"<th[^>]*>((?:as it is|plant\.par)[^<]*)</th>", page) == [

@@ -15,7 +15,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import check_identified, suggest_study, write_study
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Range, setpoints
-from ddpc_cosim.suggestion.operating_point import Found
+from ddpc_cosim.suggestion.operating_point import TriedPoint
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
@@ -222,7 +222,7 @@ def test_an_output_of_which_nothing_lasts_can_be_asked_for(model_fmu) -> None:
     """A rate has no gain for good: its peak says how far it goes, where nothing was said of it: infinity."""
     proposal = suggest_study(model_fmu("fast_pendulum"), outputs=["rate", "angle"], trial=False)
     text = study_text(proposal, "plant.fmu")
-    assert not re.search(r"\b(nan|inf)\b", "\n".join(one for one in text.splitlines() if one[:1] != "#"))
+    assert not re.search(r"\b(nan|inf)\b", "\n".join(line for line in text.splitlines() if line[:1] != "#"))
     assert 0.0 < proposal.study.plant.nominal["rate"] < np.inf
 
 
@@ -233,7 +233,7 @@ def test_an_output_of_which_nothing_lasts_can_be_asked_for(model_fmu) -> None:
 def test_an_output_without_a_response_is_not_proposed(stopped: bool, words: str) -> None:
     responses = ((Response(ResponseType.INSENSITIVE),), (Response(ResponseType.SETTLED, 1.0, peak=1.0),))
     tested = StepTest(np.arange(24.0), np.zeros((24, 2)), np.ones(1), responses, stopped=stopped)
-    found = Found(
+    point = TriedPoint(
         inputs=(Variable("u"),),
         outputs=(Variable("y"), Variable("z")),
         warnings=(),
@@ -247,4 +247,4 @@ def test_an_output_without_a_response_is_not_proposed(stopped: bool, words: str)
         choice=choose(tested, np.ones(1), 1.0, all_outputs=True),
     )
     with pytest.raises(CosimError, match=words):
-        check_identified("plant.fmu", found)
+        check_identified("plant.fmu", point)

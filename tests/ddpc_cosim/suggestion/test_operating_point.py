@@ -67,9 +67,9 @@ def test_a_parameter_named_after_an_input_may_limit_it_with_a_question_mark(
     parameters: dict[str, float], expected: tuple[float, float], origin: str
 ) -> None:
     named = [InputVariable(name, start=value) for name, value in parameters.items()]
-    (found,) = input_bounds([InputVariable("u")], parameters=named).values()
-    assert ((found.low, found.high), found.origin.startswith(origin)) == (expected, True)
-    assert ("?" in found.origin) == (not origin.startswith("guessed"))
+    (bounds,) = input_bounds([InputVariable("u")], parameters=named).values()
+    assert ((bounds.low, bounds.high), bounds.origin.startswith(origin)) == (expected, True)
+    assert ("?" in bounds.origin) == (not origin.startswith("guessed"))
     asked = input_bounds([InputVariable("u")], {"u": (-3.0, 3.0)}, named)["u"]
     declared = input_bounds([InputVariable("u", min=-4.0, max=4.0)], parameters=named)["u"]
     assert [(b.low, b.high) for b in (asked, declared)] == [(-3.0, 3.0), (-4.0, 4.0)]

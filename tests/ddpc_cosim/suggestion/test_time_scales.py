@@ -80,7 +80,7 @@ def proposed(plant: Linear, timing: Timing) -> tuple[StepTest, Choice, float, fl
     return tested, choice, sample, duration
 
 
-def told(tested: StepTest, plant: Linear) -> list[str]:
+def obstacles(tested: StepTest, plant: Linear) -> list[str]:
     """Return what may keep any controller from settling."""
     room = np.ones(len(plant.inputs))
     choice = choose(tested, room, 10.0, all_outputs=False)
@@ -207,7 +207,7 @@ def test_a_switch_is_not_taken_for_an_instability(plant: Linear) -> None:
     assert not tested.unstable
     assert tested.responses[0][0].type is ResponseType.SETTLED
     assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
-    assert told(tested, plant) == ["u0 acts like a switch: a thousandth of the step does as much"]
+    assert obstacles(tested, plant) == ["u0 acts like a switch: a thousandth of the step does as much"]
 
 
 class Altered(Linear):
@@ -229,7 +229,7 @@ def test_an_integrator_that_stops_at_a_limit_is_not_taken_for_an_instability() -
     assert tested.responses[0][0].type is ResponseType.INTEGRATING
     assert tested.responses[0][0].slope == pytest.approx(20.0, rel=0.01)
     assert design.limits(tested, choice) == pytest.approx([0.5])
-    assert told(tested, plant) == ["y0 integrates until it stops at 1, a limit of its own"]
+    assert obstacles(tested, plant) == ["y0 integrates until it stops at 1, a limit of its own"]
 
 
 def test_what_is_only_ever_used_up_is_not_controlled_if_something_can_be_held() -> None:
@@ -242,7 +242,7 @@ def test_what_is_only_ever_used_up_is_not_controlled_if_something_can_be_held() 
     assert choice.outputs == (0,)
     assert re.fullmatch(
         r"y0: the inputs move it by .* while they rest \(--range u0=LO:HI if it may go further\)",
-        told(tested, plant)[0],
+        obstacles(tested, plant)[0],
     )
 
 
@@ -250,14 +250,16 @@ def test_a_plant_that_fails_by_itself_is_told_as_the_reason() -> None:
     plant = Altered(-1, 1, 1)
     plant.end = 5.0
     tested, *_ = proposed(plant, OPEN)
-    assert re.match(r"with constant inputs the plant itself fails after 4\.\d+ s: ", told(tested, plant)[0])
+    assert re.match(
+        r"with constant inputs the plant itself fails after 4\.\d+ s: ", obstacles(tested, plant)[0]
+    )
 
 
 def test_a_relay_that_needs_more_than_a_tenth_is_found() -> None:
     tested, _, _, _ = proposed(Linear(-1, 1, 1, threshold=0.7), OPEN)
     assert tested.steps == [1.0]
     text = "u0 has a threshold: a step of 0.1 does nothing, one of 1 does"
-    assert told(tested, Linear(-1, 1, 1)) == [text]
+    assert obstacles(tested, Linear(-1, 1, 1)) == [text]
     assert tested.responses[0][0].type is ResponseType.SETTLED
     assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
 

@@ -1,4 +1,4 @@
-"""`init` hands out what it has run: what fails is left out, what nobody reaches is moved or told."""
+"""`init` hands out what it has run: what fails is left out, what is never reached is moved or reported."""
 
 import re
 import tomllib
@@ -114,9 +114,9 @@ def test_an_output_that_goes_elsewhere_than_in_the_step_test_is_told_with_its_in
     proposal = with_steps(proposal, Steps((0.0, 60.0), (-0.05, -0.1)), duration=120.0)
     proved = tried_out(proposal, monotonic() + 1000.0, lambda _: None)
     text = comments(written(proved, fmu, tmp_path))
-    found = re.search(r"Likely why: x ends .* test: at (\S+) with push (\S+), where .* say (\S+)\.", text)
-    assert found is not None, text
-    y, u, expected = map(float, found.groups())
+    match = re.search(r"Likely why: x ends .* test: at (\S+) with push (\S+), where .* say (\S+)\.", text)
+    assert match is not None, text
+    y, u, expected = map(float, match.groups())
     assert y == pytest.approx(u**2, abs=0.02)
     assert expected == pytest.approx(0.1 * u, abs=0.001)
 
@@ -130,11 +130,11 @@ def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried
     proposal = suggest_study(fmu, step_timeout=0.2, trial=False)
     proved = tried_out(only(proposal, "pid", "mfapc"), monotonic() + 0.5, lambda _: None)
     text = written(proved, fmu, tmp_path)
-    told = comments(text)
-    assert "The time for trying was over before the end of " in told
-    assert "MFAPC-CFDL (not begun)" in told
+    remarks = comments(text)
+    assert "The time for trying was over before the end of " in remarks
+    assert "MFAPC-CFDL (not begun)" in remarks
     # On a slow machine not even the first one begins in time: then none is known to be better than another.
-    has_begun = re.search(r"PID[^;]* \(\d+ % of its run\)", told) is not None
+    has_begun = re.search(r"PID[^;]* \(\d+ % of its run\)", remarks) is not None
     kept = {"pid"} if has_begun else {"pid", "mfapc"}
     assert set(tomllib.loads(text)["controllers"]) == kept
 

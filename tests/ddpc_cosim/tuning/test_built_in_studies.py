@@ -24,10 +24,10 @@ def test_every_method_has_somewhere_to_look(name: str) -> None:
 @pytest.mark.parametrize("name", COMPARATIVE)
 def test_every_condition_is_run_with_preview_and_without(name: str) -> None:
     scenarios = read_study(name).problem.study.scenarios.values()
-    with_preview = [one for one in scenarios if one.preview is None]
-    without = [replace(one, preview=None) for one in scenarios if one.preview == 1]
+    with_preview = [scenario for scenario in scenarios if scenario.preview is None]
+    without = [replace(scenario, preview=None) for scenario in scenarios if scenario.preview == 1]
     assert len(with_preview) + len(without) == len(scenarios)
-    conditions = [[replace(one, label="") for one in group] for group in (with_preview, without)]
+    conditions = [[replace(scenario, label="") for scenario in group] for group in (with_preview, without)]
     assert conditions[0] == conditions[1]
 
 
@@ -42,9 +42,12 @@ def test_no_recording_of_the_benchmark_knows_what_disturbs_its_loop() -> None:
         for scenario in scenarios if name == "building" else ["disturbance"]:
             conditions = scenarios[scenario]
             assert conditions.inputs.keys() == conditions.recorded_inputs.keys()
-            assert all(conditions.inputs[one] != conditions.recorded_inputs[one] for one in conditions.inputs)
+            assert all(
+                conditions.inputs[variable] != conditions.recorded_inputs[variable]
+                for variable in conditions.inputs
+            )
         if name != "building":
-            assert all(isinstance(one, Constant) for one in conditions.recorded_inputs.values())
+            assert all(isinstance(signal, Constant) for signal in conditions.recorded_inputs.values())
     for problem in read_study("benchmark").problems.values():
         for scenario in problem.conditions.values():
             assert scenario.inputs.keys() == scenario.recorded_inputs.keys()

@@ -96,8 +96,8 @@ def test_every_controller_has_as_many_trials_and_the_best_settings_are_in_the_tu
         """At the first of the ten samples that count y = 0, and then the error is 1 - gain."""
         return float(np.sqrt((1.0 + 9 * (1.0 - gain) ** 2) / 10))
 
-    found = tuned(tmp_path)
-    assert found.kept == [("study", "rest")]
+    tuning = tuned(tmp_path)
+    assert tuning.kept == [("study", "rest")]
     rows = trials_of(tmp_path)
     assert [row["controller"] for row in rows] == ["a"] * 8 + ["b"] * 8
     for row in rows:
@@ -114,16 +114,16 @@ def test_every_controller_has_as_many_trials_and_the_best_settings_are_in_the_tu
         closest = min(gains, key=lambda gain: abs(gain - 1.0))
         section = study.controllers[name]
         assert section.settings["gain"] == closest != given
-        held_out = found.held_out["study", name]
+        held_out = tuning.held_out["study", name]
         assert [trial.values[0] for trial in held_out] == pytest.approx([rmse_of(given), rmse_of(closest)])
         assert [trial.runs for trial in held_out] == [1, 1]
         how = section.tuned
         assert how is not None
         assert (how.settings, how.trials, how.seeds) == (["gain"], 8, [10_000, 10_001, 10_002])
     assert study.controllers["rest"].tuned is None
-    compared = {case.controller: case for case in found.results.cases}
+    compared = {case.controller: case for case in tuning.results.cases}
     assert list(compared) == ["a-as-given", "a", "rest", "b-as-given", "b"]
-    assert {case.seed for case in found.results.cases} == {0}
+    assert {case.seed for case in tuning.results.cases} == {0}
     assert compared["a-as-given"].settings["gain"] == 3.0
     assert compared["a"].settings == study.controllers["a"].settings
 
@@ -165,11 +165,11 @@ problems = { full = { study = "full.toml" }, half = { study = "half.toml" } }
 controllers.a = { type = "tuning_toys:Gain" }
 controllers.rest = { type = "tuning_toys:Rest" }
 """
-    found = tuned(tmp_path, several, Request(trials=6, seeds=[4]))
-    assert {key: len(trials) for key, trials in found.trials.items()} == {("full", "a"): 6, ("half", "a"): 6}
+    tuning = tuned(tmp_path, several, Request(trials=6, seeds=[4]))
+    assert {key: len(trials) for key, trials in tuning.trials.items()} == {("full", "a"): 6, ("half", "a"): 6}
     again = read_study(str(tmp_path / "out" / "tuned.toml"))
     for problem, ideal in (("full", 1.0), ("half", 2.0)):
-        gains = [trial.settings["gain"] for trial in found.trials[problem, "a"]]
+        gains = [trial.settings["gain"] for trial in tuning.trials[problem, "a"]]
         section = again.problems[problem].study.controllers["a"]
         assert section.settings["gain"] == min(gains, key=lambda gain: abs(gain - ideal))
         assert section.tuned is not None
@@ -212,10 +212,10 @@ def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> 
     (tmp_path / "predicting_toys.py").write_text(
         TOYS.replace("4.0))", "4.0), predicts=True)"), encoding="utf-8"
     )
-    found = tuned(tmp_path, text, Request((Objective.parse("prediction"),), trials=4, seeds=[7]))
-    for tried in found.trials.values():
+    tuning = tuned(tmp_path, text, Request((Objective.parse("prediction"),), trials=4, seeds=[7]))
+    for tried in tuning.trials.values():
         assert [trial.values[0] for trial in tried] == [abs(trial.settings["gain"] - 2.0) for trial in tried]
-    assert best(found.trials["study", "b"]) == 0  # as given
+    assert best(tuning.trials["study", "b"]) == 0  # as given
     lengths = {
         case.name: len(case.read_text().splitlines()) for case in tmp_path.glob("out/cases/*/signals.csv")
     }
@@ -265,7 +265,7 @@ def test_runs_are_summed_up_over_seeds_and_scenarios() -> None:
 
     def of(text: str, results: list[CaseResult]) -> float:
         objective = Objective.parse(text)
-        return objective.of({Run(one.scenario, one.seed): objective.of_run(one, spans) for one in results})
+        return objective.of({Run(run.scenario, run.seed): objective.of_run(run, spans) for run in results})
 
     for text, r in expected.items():
         assert of(text, runs) == pytest.approx(0.75 * r), text
@@ -298,7 +298,9 @@ def search_of(runs: list[list[float]], failing: frozenset[int] = frozenset()) ->
     )
     for number, values in enumerate(runs):
         figures = [Figures(not seed and number in failing, (value,)) for seed, value in enumerate(values)]
-        search.tell(search.next_settings(), {Run("quiet", seed): one for seed, one in enumerate(figures)})
+        search.tell(
+            search.next_settings(), {Run("quiet", seed): figure for seed, figure in enumerate(figures)}
+        )
     return search
 
 
@@ -401,23 +403,23 @@ def test_a_method_tries_what_was_found_for_one_that_it_contains(tmp_path: Path) 
     text = STUDY.replace("tuning_toys", "nested_toys").replace(
         "controllers.rest", 'controllers.wide = { type = "nested_toys:Wide" }\ncontrollers.rest'
     )
-    found = tuned(tmp_path, text, Request(trials=6, seeds=[4]))
+    tuning = tuned(tmp_path, text, Request(trials=6, seeds=[4]))
     for other in ("a", "b"):
-        last = [one for one in found.trials["study", "wide"] if one.origin == f"as found for {other}"]
-        theirs = found.trials["study", other][: 6 - 1]  # of which one is for the other of the same class
-        assert [one.settings["gain"] for one in last] == [theirs[best(theirs)].settings["gain"]]
+        last = [trial for trial in tuning.trials["study", "wide"] if trial.origin == f"as found for {other}"]
+        theirs = tuning.trials["study", other][: 6 - 1]  # of which one is for the other of the same class
+        assert [trial.settings["gain"] for trial in last] == [theirs[best(theirs)].settings["gain"]]
         assert last[0].settings["offset"] == 0.0
         assert last[0].settings["rough"] is False
     origins = [row["origin"] for row in trials_of(tmp_path) if row["controller"] == "wide"]
     assert origins == ["as given", "search", "search", "search", "as found for a", "as found for b"]
-    assert {len(trials) for trials in found.trials.values()} == {6}
-    assert best(found.trials["study", "wide"]) >= 4
+    assert {len(trials) for trials in tuning.trials.values()} == {6}
+    assert best(tuning.trials["study", "wide"]) >= 4
     how = read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers["wide"].tuned
     assert how is not None
     assert set(how.settings) == {"gain", "offset", "rough"}
     assert how.at_ends == ["gain", "offset"]  # far beyond where was looked
-    told = '{"gain": 1.2, "offset": 0.0, "soft": 1.0}'
-    broken = NESTED.replace("nested_toys", "broken_toys").replace("return same if", f"return {told} if")
+    constant = '{"gain": 1.2, "offset": 0.0, "soft": 1.0}'
+    broken = NESTED.replace("nested_toys", "broken_toys").replace("return same if", f"return {constant} if")
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "broken_toys.py").write_text(broken, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"Gain\.settings_as\(Wide\): soft: unknown setting"):
@@ -426,10 +428,10 @@ def test_a_method_tries_what_was_found_for_one_that_it_contains(tmp_path: Path) 
 
 def test_settings_that_the_study_asks_for_are_tried_first(tmp_path: Path) -> None:
     text = STUDY.replace("search = {", "first_trials = [{ gain = 1.25 }, { gain = 0.5 }]\nsearch = {")
-    found = tuned(tmp_path, text, Request(trials=4, seeds=[4], compares=False))
-    tried = found.trials["study", "b"]
-    assert [one.settings["gain"] for one in tried[:3]] == [2.0, 1.25, 0.5]
-    assert [one.origin for one in tried] == ["as given", "first trials", "first trials", "search"]
+    tuning = tuned(tmp_path, text, Request(trials=4, seeds=[4], compares=False))
+    tried = tuning.trials["study", "b"]
+    assert [trial.settings["gain"] for trial in tried[:3]] == [2.0, 1.25, 0.5]
+    assert [trial.origin for trial in tried] == ["as given", "first trials", "first trials", "search"]
     for wrong, fault in (
         ("{ gein = 1.0 }", 'no setting "gein"'),
         ("{ gain = 11.0 }", "11.0 is not possible"),
@@ -439,8 +441,8 @@ def test_settings_that_the_study_asks_for_are_tried_first(tmp_path: Path) -> Non
 
 
 def test_without_a_comparison_there_are_trials_alone(tmp_path: Path) -> None:
-    found = tuned(tmp_path, request=Request(trials=3, seeds=[4], compares=False))
-    assert (found.results, found.held_out) == (None, {})
+    tuning = tuned(tmp_path, request=Request(trials=3, seeds=[4], compares=False))
+    assert (tuning.results, tuning.held_out) == (None, {})
     assert not (tmp_path / "out" / "held-out").exists()
     assert {row["held out: runs failed"] for row in trials_of(tmp_path)} == {""}
     assert read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers["a"].tuned
@@ -449,8 +451,8 @@ def test_without_a_comparison_there_are_trials_alone(tmp_path: Path) -> None:
 def test_another_seed_of_the_sampler_has_other_settings_tried_and_is_told(tmp_path: Path) -> None:
     def gains(seed: int, folder: str) -> list[float]:
         request = Request(trials=4, seeds=[4], sampler_seed=seed, compares=False)
-        found = tuned(tmp_path / folder, request=request)
-        return [one.settings["gain"] for one in found.trials["study", "a"]]
+        tuning = tuned(tmp_path / folder, request=request)
+        return [trial.settings["gain"] for trial in tuning.trials["study", "a"]]
 
     assert gains(0, "a") == gains(0, "b") != gains(1, "c")
     study = read_study(str(tmp_path / "c" / "out" / "tuned.toml")).problem.study

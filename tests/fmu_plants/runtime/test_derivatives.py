@@ -134,16 +134,16 @@ def test_what_has_no_derivative_is_refused(pendulum):
 
 def test_unknown_references_and_missing_arrays_are_refused(pendulum, pendulum3):
     instance = pendulum().start()
-    one, wrong, value = ctypes.c_size_t(1), (ctypes.c_uint * 1)(999), (ctypes.c_double * 1)()
-    status = instance.call("fmi2GetDirectionalDerivative", wrong, one, wrong, one, value, value)
+    count, wrong, value = ctypes.c_size_t(1), (ctypes.c_uint * 1)(999), (ctypes.c_double * 1)()
+    status = instance.call("fmi2GetDirectionalDerivative", wrong, count, wrong, count, value, value)
     assert status == fmi2Error
     assert "999" in instance.messages[-1][2]
-    assert instance.call("fmi2GetDirectionalDerivative", None, one, wrong, one, value, value) == fmi2Error
+    assert instance.call("fmi2GetDirectionalDerivative", None, count, wrong, count, value, value) == fmi2Error
     other = pendulum3().start()
     known = (ctypes.c_uint * 1)(1)
     for name in ("Directional", "Adjoint"):
         status = other.call(
-            f"fmi3Get{name}Derivative", known, one, known, one, value, ctypes.c_size_t(2), value, one
+            f"fmi3Get{name}Derivative", known, count, known, count, value, ctypes.c_size_t(2), value, count
         )
         assert status == fmi2Error
         assert "2 values for 1 variables" in other.messages[-1][2]

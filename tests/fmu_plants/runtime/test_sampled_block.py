@@ -248,9 +248,13 @@ def test_there_is_no_model_exchange_and_no_derivative(block):
     assert other.component is None
     assert "Co-Simulation only" in other.messages[-1][2]
     block.start()
-    one, n = (ctypes.c_uint * 1)(1), ctypes.c_size_t(1)
+    reference, n = (ctypes.c_uint * 1)(1), ctypes.c_size_t(1)
     value = (ctypes.c_double * 1)()
-    sizes = (one, n, one, n, value, value) if version == "2" else (one, n, one, n, value, n, value, n)
+    sizes = (
+        (reference, n, reference, n, value, value)
+        if version == "2"
+        else (reference, n, reference, n, value, n, value, n)
+    )
     assert block.call(f"fmi{version}GetDirectionalDerivative", *sizes) == fmi2Error
     for call in ("EnterContinuousTimeMode", "EnterEventMode"):
         assert block.call(f"fmi{version}{call}") == fmi2Error

@@ -32,51 +32,51 @@ def in_problems(sections: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 def one_after_another(*sections: Table) -> Table:
     """What holds where all of these are said: another type has settings of its own."""
-    found: Table = {}
+    merged: Table = {}
     for section in sections:
-        found = changed_controller(found, section, found.get("type"))
-    return {"settings": {}} | found
+        merged = changed_controller(merged, section, merged.get("type"))
+    return {"settings": {}} | merged
 
 
 @given(TABLES)
 def test_a_file_that_says_nothing_is_what_it_extends(base: Table) -> None:
-    found, faults = extended(base, {}, "base")
+    merged, faults = extended(base, {}, "base")
     said = {key: value for key, value in base.items() if key not in ("name", "title", "summary")}
-    assert (found, faults) == (said, [])
-    assert set(not_said(found, {})) == {(key,) for key in said}
+    assert (merged, faults) == (said, [])
+    assert set(not_said(merged, {})) == {(key,) for key in said}
 
 
 @settings(max_examples=200)
 @given(TABLES, TABLES)
-def test_whatever_files_say_the_own_counts(base: Table, own: Table) -> None:
+def test_whatever_files_say_the_own_counts(base: Table, extending: Table) -> None:
     """Wrong types are told later, where the study is checked."""
-    found, faults = extended(base, own, "base")
+    merged, faults = extended(base, extending, "base")
     wrong = {place for place, _ in faults}
-    for key in own.keys() - {"extends", "problems", "controllers"}:
-        if own[key] is False and isinstance(base.get(key), dict) and key != "sweep":
-            assert key not in found
-        elif not (isinstance(own[key], dict) and isinstance(base.get(key), dict)) or key == "sweep":
-            assert found[key] == own[key]
+    for key in extending.keys() - {"extends", "problems", "controllers"}:
+        if extending[key] is False and isinstance(base.get(key), dict) and key != "sweep":
+            assert key not in merged
+        elif not (isinstance(extending[key], dict) and isinstance(base.get(key), dict)) or key == "sweep":
+            assert merged[key] == extending[key]
     for key in ("problems", "controllers"):
-        for name, one in own[key].items() if isinstance(own.get(key), dict) else ():
-            if (key,) not in wrong and (key, name) not in wrong and one is not False:
-                assert name in found[key]
-    for place in not_said(found, own):
+        for name, table in extending[key].items() if isinstance(extending.get(key), dict) else ():
+            if (key,) not in wrong and (key, name) not in wrong and table is not False:
+                assert name in merged[key]
+    for place in not_said(merged, extending):
         assert place[0] in base
 
 
 @settings(max_examples=200)
 @given(TYPED, in_problems(UNTYPED), st.one_of(TYPED, UNTYPED), in_problems(st.one_of(TYPED, UNTYPED)))
 def test_what_a_file_says_of_a_controller_counts_in_every_problem(
-    base: Table, of_base: Table, own: Table, of_own: Table
+    base: Table, of_base: Table, extending: Table, of_own: Table
 ) -> None:
     """In each: what the base says, of all and of it, then what the file says, of all and of it."""
-    found, _ = extended(
+    merged, _ = extended(
         {"controllers": {"c": base | {"problems": of_base, "tuned": {"trials": 9}}}},
-        {"controllers": {"c": own | {"problems": of_own}}},
+        {"controllers": {"c": extending | {"problems": of_own}}},
         "base",
     )
-    section = found["controllers"]["c"]
+    section = merged["controllers"]["c"]
     of_some = section.pop("problems", {})
     for problem in "PQR":
         before, last = of_base.get(problem, {}), of_own.get(problem, {})
@@ -86,7 +86,7 @@ def test_what_a_file_says_of_a_controller_counts_in_every_problem(
             actual = one_after_another(section, of_some.get(problem, {}))
             tuned = actual.pop("tuned")
             was = one_after_another(base, before or {})
-            assert actual == one_after_another(base, before or {}, own, last)
+            assert actual == one_after_another(base, before or {}, extending, last)
             assert tuned is False or all(actual[key] == was[key] for key in ("type", "settings"))
 
 

@@ -24,12 +24,12 @@ BUILT_IN = sorted(Path(ddpc_cosim.studies.__file__).parent.glob("*.toml"))
 
 def documented() -> list[Any]:
     """Return the whole studies that the docs show."""
-    found = []
+    examples = []
     for page in sorted((ROOT / "docs").rglob("*.md")):
         for number, text in enumerate(re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)):
             if all(re.search(header, text, re.M) for header in (r"^\[(plant|problems\.)", r"^\[controllers")):
-                found.append(pytest.param(text, id=f"{page.stem}-{number}"))
-    return found
+                examples.append(pytest.param(text, id=f"{page.stem}-{number}"))
+    return examples
 
 
 def faults_of(content: dict[str, Any]) -> dict[str, str]:
@@ -176,9 +176,11 @@ def test_the_study_of_these_tests_is_in_it() -> None:
     assert faults_of(STUDY) == {}
 
 
-@pytest.mark.parametrize(("path", "value", "told"), MUTATIONS, ids=[f"{p}={v}"[:60] for p, v, _ in MUTATIONS])
-def test_what_is_not_possible_is_refused_where_it_stands(path: str, value: Any, told: str) -> None:
-    assert list(faults_of(mutated(path, value))) == [told]
+@pytest.mark.parametrize(
+    ("path", "value", "fault"), MUTATIONS, ids=[f"{p}={v}"[:60] for p, v, _ in MUTATIONS]
+)
+def test_what_is_not_possible_is_refused_where_it_stands(path: str, value: Any, fault: str) -> None:
+    assert list(faults_of(mutated(path, value))) == [fault]
 
 
 def test_a_study_that_extends_another_may_say_a_part_and_leave_out_another() -> None:
@@ -188,8 +190,8 @@ def test_a_study_that_extends_another_may_say_a_part_and_leave_out_another() -> 
 
 
 def test_every_installed_condition_is_in_it() -> None:
-    told = SCHEMA["$defs"]["ScenarioSection"]["properties"]
-    assert told.keys() >= all_conditions().keys()
+    properties = SCHEMA["$defs"]["ScenarioSection"]["properties"]
+    assert properties.keys() >= all_conditions().keys()
 
 
 def test_the_command_prints_it() -> None:

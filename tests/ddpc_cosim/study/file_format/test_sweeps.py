@@ -41,8 +41,8 @@ def cases(folder: Path, text: str) -> list[Case]:
 
 
 def test_a_table_is_run_in_all_combinations_and_tables_one_after_the_other(tmp_path: Path) -> None:
-    found = {case.controller: case.section["settings"] for case in cases(tmp_path, STUDY + SWEEPS)}
-    assert list(found) == [
+    settings_of = {case.controller: case.section["settings"] for case in cases(tmp_path, STUDY + SWEEPS)}
+    assert list(settings_of) == [
         "mfapc",
         "mfapc-lambda_u-0.1-form-cfdl",
         "mfapc-lambda_u-0.1-form-pfdl",
@@ -51,10 +51,10 @@ def test_a_table_is_run_in_all_combinations_and_tables_one_after_the_other(tmp_p
         "mfapc-initial_gradient--0.1",
         "mfapc-initial_gradient-0.5",
     ]
-    assert {settings["horizon"] for settings in found.values()} == {4}
-    assert found["mfapc-lambda_u-10-form-pfdl"]["lambda_u"] == 10.0
-    assert found["mfapc-lambda_u-10-form-pfdl"]["form"] == "pfdl"
-    assert found["mfapc-initial_gradient-0.5"]["lambda_u"] == found["mfapc"]["lambda_u"]
+    assert {settings["horizon"] for settings in settings_of.values()} == {4}
+    assert settings_of["mfapc-lambda_u-10-form-pfdl"]["lambda_u"] == 10.0
+    assert settings_of["mfapc-lambda_u-10-form-pfdl"]["form"] == "pfdl"
+    assert settings_of["mfapc-initial_gradient-0.5"]["lambda_u"] == settings_of["mfapc"]["lambda_u"]
 
 
 def test_a_single_table_needs_no_double_brackets(tmp_path: Path) -> None:

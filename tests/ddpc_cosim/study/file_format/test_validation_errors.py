@@ -25,14 +25,14 @@ def errors_of(content: dict[str, Any] | str, folder: Path) -> list[str]:
     """Return the errors of a study, without the file name and line that each of them must begin with."""
     path = folder / "study.toml"
     path.write_text(content if isinstance(content, str) else tomli_w.dumps(content), encoding="utf-8")
-    found: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
     try:
         read_study(str(path))
     except ConfigError as error:
-        found = error.faults
-    matches = [re.fullmatch(r"study\.toml(?::(\d+))?: (.*)", error, re.DOTALL) for error in found]
+        faults = error.faults
+    matches = [re.fullmatch(r"study\.toml(?::(\d+))?: (.*)", error, re.DOTALL) for error in faults]
     lines = [int(match[1] or 0) for match in matches if match]
-    assert len(lines) == len(found)
+    assert len(lines) == len(faults)
     assert lines == sorted(lines)
     return [match[2] for match in matches if match]
 
@@ -133,10 +133,10 @@ report.panels[0].controllers: no controller "z"; there are:
 def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     """Each fault is there, and nothing else: no fault is told twice or follows from another one."""
     expected = FAULTS.strip().splitlines()
-    found = errors_of(FULL_OF_FAULTS, tmp_path)
+    faults = errors_of(FULL_OF_FAULTS, tmp_path)
     for line in expected:
-        assert sum(fault.startswith(line) for fault in found) == 1, line
-    assert len(found) == len(expected), [f for f in found if not f.startswith(tuple(expected))]
+        assert sum(fault.startswith(line) for fault in faults) == 1, line
+    assert len(faults) == len(expected), [f for f in faults if not f.startswith(tuple(expected))]
 
 
 def test_the_command_says_so_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -328,16 +328,16 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
 def test_one_fault_is_told_once_and_nothing_that_follows_from_it(
     changes: dict[str, Any], fault: str, tmp_path: Path
 ) -> None:
-    (found,) = errors_of(changed(**changes), tmp_path)
-    assert found.startswith(fault)
+    (message,) = errors_of(changed(**changes), tmp_path)
+    assert message.startswith(fault)
 
 
 def test_a_study_without_recording_cannot_teach(tmp_path: Path) -> None:
-    found = errors_of(changed(recording=None, loop__start="recording-end"), tmp_path)
+    faults = errors_of(changed(recording=None, loop__start="recording-end"), tmp_path)
     lacking = "learns from a recording, and the study has no recording section"
-    assert 'loop.start: "recording-end" needs a recording section' in found
-    assert f"controllers.deepc: {lacking}" in found
-    assert not any("mfapc" in fault for fault in found)
+    assert 'loop.start: "recording-end" needs a recording section' in faults
+    assert f"controllers.deepc: {lacking}" in faults
+    assert not any("mfapc" in fault for fault in faults)
 
 
 def test_a_misspelt_recording_is_not_missed_too(tmp_path: Path) -> None:
@@ -346,9 +346,9 @@ def test_a_misspelt_recording_is_not_missed_too(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_is_too_short_is_told_for_each_controller(tmp_path: Path) -> None:
-    found = errors_of(changed(recording__samples=10), tmp_path)
-    assert len(found) == 4
-    assert all(fault.startswith("recording.samples: 10 is too short for ") for fault in found)
+    faults = errors_of(changed(recording__samples=10), tmp_path)
+    assert len(faults) == 4
+    assert all(fault.startswith("recording.samples: 10 is too short for ") for fault in faults)
 
 
 def test_one_bad_controller_is_not_missed_in_the_report(tmp_path: Path) -> None:
@@ -569,11 +569,11 @@ def test_an_error_of_a_field_hides_no_error_that_does_not_depend_on_it(tmp_path:
 
 def places(table: Any, place: tuple[int | str, ...] = ()) -> list[tuple[int | str, ...]]:
     """Return the places of all values of a study."""
-    found = [place] if place else []
+    all_places = [place] if place else []
     if isinstance(table, dict | list):
         for key, item in table.items() if isinstance(table, dict) else enumerate(table):
-            found.extend(places(item, (*place, key)))
-    return found
+            all_places.extend(places(item, (*place, key)))
+    return all_places
 
 
 VALUES: st.SearchStrategy[Any] = st.sampled_from(
@@ -621,9 +621,9 @@ def test_a_study_with_any_mistakes_is_a_config_error_or_runs(
     study = copy.deepcopy(PAPER)
     for place, kind, value in mutations:
         mutate(study, place, kind, value)
-    found = errors_of(study, tmp_path)
-    assert len(found) == len(set(found))
-    keys = [fault.partition(": ") for fault in found]
+    faults = errors_of(study, tmp_path)
+    assert len(faults) == len(set(faults))
+    keys = [fault.partition(": ") for fault in faults]
     missing = {key for key, _, what in keys if what == "required key is missing"}
     assert not missing & {key for key, _, what in keys if what != "required key is missing"}
 
@@ -722,8 +722,8 @@ def test_the_experiments_of_all_scenarios_are_checked_whatever_else_is_wrong(tmp
     places = ["scenarios.a.recording.excitation.torque.file", "scenarios.b.recording.excitation.torque"]
     assert [error.partition(": ")[0] for error in errors_of(study, tmp_path)] == places
     study["recording"]["excitation"]["torque"] = upside_down["excitation"]["torque"]
-    told = [error.partition(": ")[0] for error in errors_of(study, tmp_path)]
-    assert told == ["recording.excitation.torque", *places]
+    faulty_places = [error.partition(": ")[0] for error in errors_of(study, tmp_path)]
+    assert faulty_places == ["recording.excitation.torque", *places]
 
 
 def test_a_scenario_without_an_experiment_to_change_is_refused(tmp_path: Path) -> None:

@@ -145,8 +145,8 @@ def own_study(write_study: WriteStudy, tmp_path: Path) -> Callable[..., Path]:
 
     def write(*controllers: str, seeds: str) -> Path:
         study = write_study(*controllers, seeds=seeds)
-        own = [name.partition(":")[2].lower() for name in controllers if ":" in name]
-        settings = [f'[controllers.{name}.settings]\noffsets = "offset.txt"\n' for name in own]
+        classes = [name.partition(":")[2].lower() for name in controllers if ":" in name]
+        settings = [f'[controllers.{name}.settings]\noffsets = "offset.txt"\n' for name in classes]
         study.write_text(study.read_text() + "".join(settings))
         (tmp_path / "own.py").write_text(OWN.replace("FOLDER", str(tmp_path)))
         (tmp_path / "beside.py").write_text("GAIN = 0.5\n")
@@ -172,7 +172,7 @@ def on(cluster: Cluster) -> dict[str, str]:
     return {"executor": "dask", "scheduler": cluster.address}
 
 
-def told(results: StudyResults) -> dict[str, Any]:
+def content_of(results: StudyResults) -> dict[str, Any]:
     """Return what the files of each case say, bar how long things took."""
     content = {}
     for case in results.cases:
@@ -204,7 +204,7 @@ def test_a_cluster_gives_what_this_machine_gives_on_any_number_of_workers(
     there = run(study, "there", **on(cluster))
     for jobs in (1, 2, 4):
         here = run(study, f"here-{jobs}", jobs=jobs)
-        assert told(there) == told(here)
+        assert content_of(there) == content_of(here)
         assert table_and_statistics(there) == table_and_statistics(here)
     assert [case.outcome for case in there.cases] == ["completed"] * 4 + ["crashed"] * 2
     assert "SIGSEGV" in there.cases[-1].reason
@@ -240,7 +240,7 @@ def test_a_plant_in_a_file_travels_with_what_it_imports(cluster: Cluster, write_
     study = with_plant_in_a_file(write_study("mfapc"))
     there, here = run(study, "there", **on(cluster)), run(study, "here", jobs=1)
     assert [case.reason for case in there.cases if case.outcome != "completed"] == []
-    assert told(there) == told(here)
+    assert content_of(there) == content_of(here)
 
 
 def test_a_tuning_on_a_cluster_finds_what_it_finds_here(
@@ -290,11 +290,11 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
 
     monkeypatch.setattr(executor._Run, "_is_tried_again", counting)
     study = with_plant_in_a_file(write_study("mfapc", seeds='["0:36"]', loop={"duration": 20.0}))
-    told = (
+    message = (
         f"worker {full}: 3 cases have failed there that others have run, .*cannot be written: File too large"
     )
     try:
-        with pytest.warns(CosimWarning, match=told) as caught:
+        with pytest.warns(CosimWarning, match=message) as caught:
             results = run(study, "out", **on(cluster))
     finally:
         cluster.stop("full")
@@ -366,8 +366,10 @@ def test_a_worker_that_joins_late_with_another_numpy_is_left_out(
 
     with pytest.warns(CosimWarning) as caught:
         results, late = run_while_one_joins()
-    told = f"worker {late}: numpy: 9.9 there, {metadata.version('numpy')} here; install the same there; its "
-    assert [str(one.message).startswith(told) for one in caught] == [True]
+    message = (
+        f"worker {late}: numpy: 9.9 there, {metadata.version('numpy')} here; install the same there; its "
+    )
+    assert [str(warning.message).startswith(message) for warning in caught] == [True]
     assert [case.outcome for case in results.cases] == ["completed"] * 6
 
 
@@ -467,7 +469,7 @@ def test_workers_without_a_plug_in_are_left_out_where_others_have_it(
     finally:
         cluster.stop("has-it")
     assert len(caught) == len(cluster.processes) - 1  # the scheduler
-    assert not [one for one in caught if has_it in str(one.message)]
+    assert not [warning for warning in caught if has_it in str(warning.message)]
     assert [case.outcome for case in results.cases] == ["completed"] * 2
 
 
@@ -492,7 +494,7 @@ def test_over_tls(write_study: WriteStudy, tmp_path: Path) -> None:
         assert cluster.start_worker("one").startswith("tls://")
         with dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()}):
             there = run(study, "there", **on(cluster))
-        assert told(there) == told(run(study, "here"))
+        assert content_of(there) == content_of(run(study, "here"))
         with pytest.raises(ConfigError, match=f"--scheduler {cluster.address}: there are no certificates"):
             run(study, "without", **on(cluster))
     finally:

@@ -42,7 +42,10 @@ def test_a_run_records_how_to_have_it_again(tmp_path: Path) -> None:
     assert "study file commit" not in facts
     assert facts["wall time"].endswith(" s for 4 cases, 0 kept from an earlier run")
     runs = [json.loads((case.folder / "run.json").read_text(encoding="utf-8")) for case in results.cases]
-    assert facts["time of all cases"] == f"{sum(one['wall_time'] for one in runs):.3g} s, one after another"
+    assert (
+        facts["time of all cases"]
+        == f"{sum(run_facts['wall_time'] for run_facts in runs):.3g} s, one after another"
+    )
     again = run().provenance
     assert again["wall time"].endswith(" s for 0 cases, 4 kept from an earlier run")
     assert again["time of all cases"] == facts["time of all cases"]
@@ -56,10 +59,10 @@ def test_every_run_over_a_folder_is_told(tmp_path: Path) -> None:
     def run(only: str) -> StudyResults:
         return run_file(path, seeds=[4], only=only)
 
-    first, *_ = told = [run(only).runs[-1] for only in ("mfapc*", "mfapc*", "other*")]
+    first, *_ = recorded = [run(only).runs[-1] for only in ("mfapc*", "mfapc*", "other*")]
     results = load_results(tmp_path / "out")
-    assert list(results.runs) == told
-    assert [one["cases run"] for one in told] == ["2", "0", "1"]
+    assert list(results.runs) == recorded
+    assert [facts["cases run"] for facts in recorded] == ["2", "0", "1"]
     assert first["run again"] == "ddpc-cosim run own.toml --seeds 4 --only 'mfapc*'"
 
     run("mfapc*")
@@ -67,8 +70,8 @@ def test_every_run_over_a_folder_is_told(tmp_path: Path) -> None:
     (table, runs) = reproduce_tables(results, "")
     shown = {row.header: row.cells[0].text for row in table.rows}
     assert shown["command"] == "ddpc-cosim run own.toml --seeds 4 --only 'other*'"
-    assert shown["date"] == told[-1]["date"]
-    assert [row.header for row in runs.rows] == [one["date"] for one in results.runs]
+    assert shown["date"] == recorded[-1]["date"]
+    assert [row.header for row in runs.rows] == [facts["date"] for facts in results.runs]
 
 
 def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: Path) -> None:
@@ -77,7 +80,9 @@ def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: 
     for case in results.cases:
         assert case.versions["numpy"] == here
         assert case.versions["ddpc-cosim"] == package_version()
-    assert not [one for one in findings_of(results.study, results.cases).remarks if "versions" in one.text]
+    assert not [
+        remark for remark in findings_of(results.study, results.cases).remarks if "versions" in remark.text
+    ]
 
     record = results.cases[0].folder / "run.json"
     older = read_sealed(record)
@@ -85,8 +90,8 @@ def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: 
     older["versions"] |= {"numpy": "1.0"}
     record.write_bytes(sealed_json(older))
     results = load_results(tmp_path / "out")
-    told = f"Cases ran with different versions of numpy: {here} (2), 1.0 (1); a run with --fresh has one"
-    assert told in [one.text for one in findings_of(results.study, results.cases).remarks]
+    message = f"Cases ran with different versions of numpy: {here} (2), 1.0 (1); a run with --fresh has one"
+    assert message in [remark.text for remark in findings_of(results.study, results.cases).remarks]
 
 
 def test_studies_without_a_file_of_their_own_are_run_by_name_or_from_the_results() -> None:
@@ -109,18 +114,18 @@ def git(folder: Path, *words: str) -> str:
 def test_the_commit_is_told_and_whether_anything_was_changed_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own, other = tmp_path / "own.toml", tmp_path / "other.toml"
+    path, other = tmp_path / "own.toml", tmp_path / "other.toml"
     git(tmp_path, "init", "-q")
-    own.write_text("a = 1\n", encoding="utf-8")
-    assert commit_of(own) == ""
+    path.write_text("a = 1\n", encoding="utf-8")
+    assert commit_of(path) == ""
     git(tmp_path, "add", "own.toml")
     git(tmp_path, "commit", "-q", "-m", "A study")
     commit = git(tmp_path, "rev-parse", "HEAD")
     monkeypatch.setenv("GIT_DIR", "/of/a/hook")
-    assert commit_of(own) == f"{commit}, clean"
+    assert commit_of(path) == f"{commit}, clean"
     other.write_text("", encoding="utf-8")
     assert commit_of(other) == ""
-    own.write_text("a = 2\n", encoding="utf-8")
-    assert commit_of(own) == f"{commit}, with changes that are not committed"
+    path.write_text("a = 2\n", encoding="utf-8")
+    assert commit_of(path) == f"{commit}, with changes that are not committed"
     monkeypatch.setenv("PATH", "")
-    assert commit_of(own) == ""
+    assert commit_of(path) == ""

@@ -1,4 +1,4 @@
-"""A claim of a study's source holds where it is so on every seed, and is judged only where nobody failed."""
+"""A claim of a study's source holds where it is so on every seed, judged only where no controller failed."""
 
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,11 @@ def checked(values: dict[str, list[float]], *failing: tuple[str, int], **claim: 
             Path(),
             failed=(name, seed) in failing,
         )
-        for name, own in values.items()
-        for seed, value in enumerate(own)
+        for name, level in values.items()
+        for seed, value in enumerate(level)
     ]
-    (found,) = check_claims(read(Study, STUDY | {"report": report}), cases)
-    return found
+    (result,) = check_claims(read(Study, STUDY | {"report": report}), cases)
+    return result
 
 
 A_BELOW_B = {"a": [1.0, 2.0, 3.0], "b": [2.0, 3.0, 4.0]}
@@ -66,9 +66,9 @@ A_BELOW_B = {"a": [1.0, 2.0, 3.0], "b": [2.0, 3.0, 4.0]}
     ],
 )
 def test_a_claim_of_an_order_is_checked_on_every_seed(claim: dict[str, Any], verdict: str) -> None:
-    found = checked(A_BELOW_B, **claim)
-    assert found.verdict == verdict
-    assert found.judged == 3
+    result = checked(A_BELOW_B, **claim)
+    assert result.verdict == verdict
+    assert result.judged == 3
 
 
 def test_neither_reference_points_nor_variants_are_among_those_of_whom_one_is_the_lowest() -> None:
@@ -77,14 +77,14 @@ def test_neither_reference_points_nor_variants_are_among_those_of_whom_one_is_th
 
 
 def test_equal_values_are_in_no_order_and_some_seeds_make_it_a_part() -> None:
-    found = checked({"a": [1.0, 2.0], "b": [1.0, 3.0]}, lowest="a")
-    assert (found.true, found.judged, found.verdict) == (1, 2, "holds in part")
+    claim = checked({"a": [1.0, 2.0], "b": [1.0, 3.0]}, lowest="a")
+    assert (claim.true, claim.judged, claim.verdict) == (1, 2, "holds in part")
 
 
 def test_a_claim_is_not_so_where_the_one_that_it_is_of_failed() -> None:
     failing = [("a", 0), ("a", 1)]
-    assert (found := checked(A_BELOW_B, *failing, lowest="a")).verdict == "holds in part"
-    assert (found.true, found.judged) == (1, 3)
+    assert (claim := checked(A_BELOW_B, *failing, lowest="a")).verdict == "holds in part"
+    assert (claim.true, claim.judged) == (1, 3)
     assert checked(A_BELOW_B, ("a", 0), order=["a", "b"]).verdict == "holds in part"
 
 
@@ -119,13 +119,13 @@ claims = [
     )
     with pytest.raises(ConfigError) as caught:
         read_study(str(file))
-    told = str(caught.value)
-    assert "needed: one of lowest, highest, order, alike" in told
+    message = str(caught.value)
+    assert "needed: one of lowest, highest, order, alike" in message
     file.write_text(
         file.read_text(encoding="utf-8").replace('angle" }', 'angle", order = ["wkpc", "deepc"] }')
     )
     with pytest.raises(ConfigError) as caught:
         read_study(str(file))
-    told = str(caught.value)
-    assert "did you mean overshoot.angle" in told or '"overshoot.angle"' in told
-    assert "wkpc" in told.split("wkcp")[1]
+    message = str(caught.value)
+    assert "did you mean overshoot.angle" in message or '"overshoot.angle"' in message
+    assert "wkpc" in message.split("wkcp")[1]

@@ -71,30 +71,35 @@ def runs(
     return study, cases
 
 
-def found(levels: dict[str, float | dict[str, float]], **how: Any) -> Findings:
+def findings_at(levels: dict[str, float | dict[str, float]], **how: Any) -> Findings:
     return findings_of(*runs(levels, **how))
 
 
 def test_one_that_is_told_from_all_is_ahead_and_sure() -> None:
-    told = found({"a": 1.0, "b": 2.0, "c": 3.0})
-    assert (told.lead, told.leaders, told.following, told.is_sure) == (Lead.AHEAD, ("a",), "b", True)
+    findings = findings_at({"a": 1.0, "b": 2.0, "c": 3.0})
+    assert (findings.lead, findings.leaders, findings.following, findings.is_sure) == (
+        Lead.AHEAD,
+        ("a",),
+        "b",
+        True,
+    )
 
 
 def test_of_few_seeds_the_best_median_is_not_sure() -> None:
-    told = found({"a": 1.0, "b": 2.0}, seeds=4)
-    assert (told.lead, told.leaders, told.is_sure) == (Lead.BEST_MEDIAN, ("a",), False)
+    findings = findings_at({"a": 1.0, "b": 2.0}, seeds=4)
+    assert (findings.lead, findings.leaders, findings.is_sure) == (Lead.BEST_MEDIAN, ("a",), False)
 
 
 def test_those_that_are_not_told_apart_lead_together() -> None:
-    told = found({"a": 1.0, "b": 1.05, "c": 9.0}, jitter=0.3)
-    assert told.lead is Lead.LEVEL
-    assert {*told.leaders} == {"a", "b"}
+    findings = findings_at({"a": 1.0, "b": 1.05, "c": 9.0}, jitter=0.3)
+    assert findings.lead is Lead.LEVEL
+    assert {*findings.leaders} == {"a", "b"}
 
 
 def test_a_difference_that_does_not_matter_is_none() -> None:
-    told = found({"a": 1.0, "b": 1.002}, jitter=0.0001)
-    assert (told.lead, {*told.leaders}) == (Lead.ALIKE, {"a", "b"})
-    finer = found({"a": 1.0, "b": 1.02}, jitter=0.0001, metrics={"relevant": {"absolute": 0.001}})
+    findings = findings_at({"a": 1.0, "b": 1.002}, jitter=0.0001)
+    assert (findings.lead, {*findings.leaders}) == (Lead.ALIKE, {"a", "b"})
+    finer = findings_at({"a": 1.0, "b": 1.02}, jitter=0.0001, metrics={"relevant": {"absolute": 0.001}})
     assert (finer.lead, finer.leaders) == (Lead.AHEAD, ("a",))
 
 
@@ -114,20 +119,22 @@ def test_failed_runs_decide_who_may_lead(
     leaders: tuple[str, ...],
     sure: bool,
 ) -> None:
-    told = found(levels, failed=failed)
-    assert (told.lead, told.leaders, told.is_sure) == (lead, leaders, sure)
-    assert {one.controller: one.failed for one in told.failing} == ({} if lead is Lead.NOBODY else failed)
+    findings = findings_at(levels, failed=failed)
+    assert (findings.lead, findings.leaders, findings.is_sure) == (lead, leaders, sure)
+    assert {standing.controller: standing.failed for standing in findings.failing} == (
+        {} if lead is Lead.NOBODY else failed
+    )
 
 
 def test_where_scenarios_disagree_nobody_leads_over_all() -> None:
-    told = found({"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}})
-    assert (told.lead, told.leaders) == (Lead.BY_SCENARIO, ())
-    assert told.standings.leaders_by_scenario == {"x": ("a",), "y": ("b",)}
-    assert not told.standings.is_ranked
+    findings = findings_at({"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}})
+    assert (findings.lead, findings.leaders) == (Lead.BY_SCENARIO, ())
+    assert findings.standings.leaders_by_scenario == {"x": ("a",), "y": ("b",)}
+    assert not findings.standings.is_ranked
 
 
 def test_where_every_run_fails_a_remark_says_so() -> None:
-    (remark,) = found({"a": 1.0}, failed={"a": 8}).remarks
+    (remark,) = findings_at({"a": 1.0}, failed={"a": 8}).remarks
     assert remark.is_failure
     assert remark.text.startswith("Every controller fails")
 

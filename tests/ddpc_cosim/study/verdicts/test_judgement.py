@@ -164,17 +164,17 @@ def tracking(end: float, error: float, step: float = 0.0, *, deviation: float = 
     return Tracking("y", 2.0, math.inf, 1.0, deviation, 0.0, error, ends=(window,))
 
 
-def concluded(one: Tracking, nothing: Tracking | None = None) -> CaseResult:
-    run = replace(case("a"), tracking=(one,))
+def concluded(followed: Tracking, nothing: Tracking | None = None) -> CaseResult:
+    run = replace(case("a"), tracking=(followed,))
     resting = {("", "nominal", 0): replace(run, tracking=(nothing,))} if nothing else {}
-    (found,) = judged({}, [run], resting)
-    return found
+    (result,) = judged({}, [run], resting)
+    return result
 
 
 @pytest.mark.parametrize(("end", "failed"), [(0.99, False), (1.01, True)])
 def test_a_run_fails_that_ends_further_than_half_of_its_task_away(end: float, failed: bool) -> None:
-    found = concluded(tracking(end, 0.1))
-    assert (found.failed, bool(found.failure)) == (failed, failed)
+    result = concluded(tracking(end, 0.1))
+    assert (result.failed, bool(result.failure)) == (failed, failed)
     early = replace(case("a", outcome=Outcome.TIMED_OUT), tracking=(tracking(0.0, 0.0),))
     (early,) = judged({}, [early], {})
     assert (early.failed, early.settles, early.left) == (True, False, math.inf)
@@ -185,9 +185,9 @@ def test_a_run_fails_that_is_worse_than_doing_nothing_by_more_than_a_hundredth(
     error: float, failed: bool
 ) -> None:
     assert not concluded(tracking(0.0, error)).failed
-    found = concluded(tracking(0.0, error), tracking(0.9, 0.5))
-    assert found.failed == failed
-    assert found.failure == failed * (
+    result = concluded(tracking(0.0, error), tracking(0.9, 0.5))
+    assert result.failed == failed
+    assert result.failure == failed * (
         "y is worse than doing nothing: mean error 26 % of the task, doing nothing 25 % of it"
     )
 
@@ -204,6 +204,6 @@ def test_a_task_is_as_large_as_what_happens_while_nothing_is_done() -> None:
 
 @pytest.mark.parametrize(("step", "settles"), [(0.0, False), (2.0, False), (4.0, True)])
 def test_what_is_left_is_in_parts_of_a_step_or_of_the_task(step: float, settles: bool) -> None:
-    found = concluded(tracking(0.15, 0.1, step))
-    assert found.settles == settles
-    assert found.left == pytest.approx(15.0 / (step or 2.0))
+    result = concluded(tracking(0.15, 0.1, step))
+    assert result.settles == settles
+    assert result.left == pytest.approx(15.0 / (step or 2.0))

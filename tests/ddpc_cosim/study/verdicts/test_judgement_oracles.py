@@ -1,6 +1,6 @@
 """Who is perfect never fails and always settles, whatever acts on the plant; who is clearly bad fails.
 
-The perfect controllers know the plant: what they leave is what nobody can know one sample ahead.
+The perfect controllers know the plant: what they leave is what cannot be known one sample ahead.
 """
 
 import math
@@ -183,16 +183,18 @@ def scenario(**given: Any) -> ScenarioSection:
 
 def judge(plant: Plant, controller: Controller, seed: int, reference: Any, **loop: Any) -> CaseResult:
     """Return a run as it is judged beside doing nothing."""
-    case, idle = (run(plant, one, seed, reference, **loop) for one in (controller, Idle()))
+    case, idle = (run(plant, driver, seed, reference, **loop) for driver in (controller, Idle()))
     section = scenario(**{key: loop[key] for key in ("noise", "quantum", "disturbances") if key in loop})
-    own, resting = judged({"s": section}, [case, idle], {run_of(idle): idle})
+    result, resting = judged({"s": section}, [case, idle], {run_of(idle): idle})
     assert not resting.failure.startswith("worse")
     if isinstance(controller, Perfect | Predicting):
         # Their metrics, too: doing nothing is never ahead by more than the noise in the comparison.
-        errors = [sum(one.mean_abs_error for one in it.tracking) for it in (own, resting)]
-        allowed = sum(one.scatter for one in own.tracking) + sum(loop.get("quantum", {}).values())
+        errors = [sum(tracking.mean_abs_error for tracking in it.tracking) for it in (result, resting)]
+        allowed = sum(tracking.scatter for tracking in result.tracking) + sum(
+            loop.get("quantum", {}).values()
+        )
         assert errors[0] <= errors[1] + allowed
-    return own
+    return result
 
 
 def assert_perfect(case: CaseResult) -> None:
@@ -358,8 +360,8 @@ def test_a_plant_that_runs_away_when_left_alone_does_not_make_its_task_larger(ac
     for wrong in (Otherwise((5.0,)), Otherwise((1.0,), wave=6.0)):
         case = judge(Linear(), wrong, 0, DOWN)
         theirs = run(plant, Idle(), 0, DOWN, **acts)
-        own, resting = judged({"s": scenario(**acts)}, [case, theirs], {run_of(theirs): theirs})
-        assert (own.failed, own.settles, resting.failed) == (True, False, True)
+        result, resting = judged({"s": scenario(**acts)}, [case, theirs], {run_of(theirs): theirs})
+        assert (result.failed, result.settles, resting.failed) == (True, False, True)
 
 
 class Chaotic(Linear):
@@ -472,17 +474,17 @@ class Scaled(Reference):
 class In(Controller):
     """A controller that is told another unit's values in its own."""
 
-    own: Controller
+    inner: Controller
     scale: float
     level: float
     horizon = 1
 
     def start(self, loop: Loop) -> None:
-        self.own.start(loop)
+        self.inner.start(loop)
 
     def step(self, sample: Sample) -> FloatArray:
         reference = (sample.reference - self.level) / self.scale
-        return np.asarray(self.own.step(sample._replace(reference=reference)))
+        return np.asarray(self.inner.step(sample._replace(reference=reference)))
 
 
 @settings(max_examples=25)
@@ -508,17 +510,17 @@ def test_units_decide_nothing(
 @settings(max_examples=25)
 @given(st.sampled_from(WRONG), st.sampled_from(WRONG), st.integers(0, 1000))
 def test_the_order_of_outputs_decides_nothing(
-    one: tuple[float, float], other: tuple[float, float], seed: int
+    first: tuple[float, float], other: tuple[float, float], seed: int
 ) -> None:
-    found = []
+    results = []
     for names in ("yz", "zy"):
         plant = Linear([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], names=names)
-        factors = {"y": one[0], "z": other[0]}
-        controller = Otherwise(tuple(factors[name] for name in names), wave=one[1])
+        factors = {"y": first[0], "z": other[0]}
+        controller = Otherwise(tuple(factors[name] for name in names), wave=first[1])
         references = {"y": DOWN, "z": Steps((0.0, 20.0), (0.0, 3.0))}
-        found.append(judge(plant, controller, seed, references, disturbances={"y": [Sine(0.3, 0.01)]}))
-    assert found[0].failed == found[1].failed
-    assert found[0].left == found[1].left
+        results.append(judge(plant, controller, seed, references, disturbances={"y": [Sine(0.3, 0.01)]}))
+    assert results[0].failed == results[1].failed
+    assert results[0].left == results[1].left
 
 
 OWN = """
@@ -543,7 +545,7 @@ class Following(Controller):
 
 def order_of(results: StudyResults) -> dict[str, int]:
     assert not any(case.failed and case.controller != "idle" for case in results.cases), results
-    return {one.controller: one.rank for one in standings(results.study, results.cases).order}
+    return {standing.controller: standing.rank for standing in standings(results.study, results.cases).order}
 
 
 def test_a_pendulum_at_the_edge_of_its_band(tmp_path: Path) -> None:
@@ -563,7 +565,7 @@ def test_a_pendulum_at_the_edge_of_its_band(tmp_path: Path) -> None:
     errors = {case.controller: case.metrics["mean_abs_error.angle [deg]"] for case in results.cases}
     assert errors["pid"] < 0.5 * errors["idle"]
     assert order_of(results) == {"pid": 1, "idle": 2}
-    assert not any(one.is_failure for one in scenario_remarks(results.study, results.cases))
+    assert not any(remark.is_failure for remark in scenario_remarks(results.study, results.cases))
 
 
 def test_white_noise_does_not_keep_who_follows_from_settling(tmp_path: Path) -> None:
@@ -579,9 +581,9 @@ def test_white_noise_does_not_keep_who_follows_from_settling(tmp_path: Path) -> 
     )
     results = run_file(write(tmp_path, text))
     assert {case.reason for case in results.cases} == {""}
-    own = [case for case in results.cases if case.controller == "following"]
-    assert max(end.error for case in own for end in case.tracking[0].ends) > 0.06
-    assert all(case.settles for case in own)
+    cases = [case for case in results.cases if case.controller == "following"]
+    assert max(end.error for case in cases for end in case.tracking[0].ends) > 0.06
+    assert all(case.settles for case in cases)
     assert order_of(results) == {"following": 1, "idle": 2}
     assert scenario_remarks(results.study, results.cases) == []
 

@@ -60,11 +60,16 @@ WORSE = {("a", "seen"): 0.074, ("a", "unseen"): 0.021, ("b", "seen"): 0.02, ("b"
 
 
 def test_a_controller_that_is_worse_with_more_preview_is_told() -> None:
-    (found,) = worse(SEEN, cases(WORSE))
-    assert (found.controller, found.key, found.more, found.less) == ("a", KEY, "seen", "unseen")
-    assert 0.07 < found.with_more.median < 0.08
-    assert 0.02 < found.with_less.median < 0.03
-    assert found.difference.median > 0.05
+    (comparison,) = worse(SEEN, cases(WORSE))
+    assert (comparison.controller, comparison.key, comparison.more, comparison.less) == (
+        "a",
+        KEY,
+        "seen",
+        "unseen",
+    )
+    assert 0.07 < comparison.with_more.median < 0.08
+    assert 0.02 < comparison.with_less.median < 0.03
+    assert comparison.difference.median > 0.05
 
 
 def test_nothing_is_told_of_chance_of_too_few_seeds_or_of_what_does_not_matter() -> None:

@@ -41,42 +41,42 @@ def frame(table: dict[str, dict[str, list[float]]], metric: str = METRIC) -> pd.
 
 
 def test_the_example_of_demsar() -> None:
-    found = average_ranks(["C4.5", "+m", "+cf", "+m+cf"], -DEMSAR)
+    averages = average_ranks(["C4.5", "+m", "+cf", "+m+cf"], -DEMSAR)
     expected = {"+m+cf": 1.964, "+m": 2.000, "+cf": 2.893, "C4.5": 3.143}
-    assert found.ranks == pytest.approx(expected, abs=5e-4)
-    assert list(found.ranks) == list(expected)
-    assert found.critical_difference == pytest.approx(1.25, abs=0.005)
+    assert averages.ranks == pytest.approx(expected, abs=5e-4)
+    assert list(averages.ranks) == list(expected)
+    assert averages.critical_difference == pytest.approx(1.25, abs=0.005)
     # The paper's 9.28 is without the correction for ties: three pairs, and all four of one data set.
-    assert found.statistic == pytest.approx(
+    assert averages.statistic == pytest.approx(
         9.28 / (1 - (3 * (2**3 - 2) + 4**3 - 4) / (14 * (4**3 - 4))), abs=0.01
     )
-    half = found.statistic / 2  # of chi-square with three degrees of freedom
+    half = averages.statistic / 2  # of chi-square with three degrees of freedom
     tail = math.erfc(math.sqrt(half)) + math.sqrt(4 * half / math.pi) * math.exp(-half)
-    assert found.p == pytest.approx(tail)
+    assert averages.p == pytest.approx(tail)
     # The paper: no two of the four differ by 1.25; "the data is not sufficient".
-    assert found.groups == (("+m+cf", "+m", "+cf", "C4.5"),)
+    assert averages.groups == (("+m+cf", "+m", "+cf", "C4.5"),)
 
 
 @pytest.mark.parametrize(("k", "q"), [(2, 1.960), (3, 2.343), (5, 2.728), (10, 3.164)])
 def test_critical_values_of_nemenyi(k: int, q: float) -> None:
     """Demsar (2006), table 5 (a)."""
-    found = average_ranks([str(i) for i in range(k)], np.random.default_rng(0).random((9, k)))
-    assert found.critical_difference == pytest.approx(q * math.sqrt(k * (k + 1) / 54), abs=2e-3)
+    averages = average_ranks([str(i) for i in range(k)], np.random.default_rng(0).random((9, k)))
+    assert averages.critical_difference == pytest.approx(q * math.sqrt(k * (k + 1) / 54), abs=2e-3)
 
 
 def test_ranks_that_differ_share_no_group() -> None:
     scores = np.array([[1.0, 2.0, 3.0]] * 8 + [[2.0, 1.0, 3.0]] * 8)
-    found = average_ranks(["a", "b", "worst"], scores)
-    assert found.ranks == {"a": 1.5, "b": 1.5, "worst": 3.0}
-    assert found.groups == (("a", "b"), ("worst",))
+    averages = average_ranks(["a", "b", "worst"], scores)
+    assert averages.ranks == {"a": 1.5, "b": 1.5, "worst": 3.0}
+    assert averages.groups == (("a", "b"), ("worst",))
 
 
 def test_nothing_is_told_apart_of_equal_ones_of_two_or_in_one_problem() -> None:
     assert average_ranks(["a", "b", "c"], np.ones((5, 3)))[2:4] == (0.0, 1.0)
     for scores in (np.array([[1.0, 2.0, 3.0]]), np.array([[1.0, 2.0]] * 30)):
-        found = average_ranks(["a", "b", "c"][: scores.shape[1]], scores)
-        assert math.isnan(found.p)
-        assert len(found.groups) == 1
+        averages = average_ranks(["a", "b", "c"][: scores.shape[1]], scores)
+        assert math.isnan(averages.p)
+        assert len(averages.groups) == 1
 
 
 def test_ranks_of_a_study() -> None:
@@ -85,9 +85,9 @@ def test_ranks_of_a_study() -> None:
         "p": {"a": [3.0, 5.0], "b": [1.0, NAN], "c": [2.0, 2.0], "d": [NAN, NAN]},
         "q": {"a": [1.0], "b": [1.0 + 1e-12], "c": [NAN], "d": [NAN]},
     }
-    found = ranks_frame(frame(table), METRIC)
-    assert found.ranks == {"a": 1.75, "b": 2.25, "c": 2.25, "d": 3.75}
-    assert found.problems == 2
+    averages = ranks_frame(frame(table), METRIC)
+    assert averages.ranks == {"a": 1.75, "b": 2.25, "c": 2.25, "d": 3.75}
+    assert averages.problems == 2
 
 
 def test_medians_are_compared_within_a_condition_only() -> None:
@@ -105,8 +105,8 @@ def test_medians_are_compared_within_a_condition_only() -> None:
 def test_who_did_not_run_in_every_problem_is_named_and_not_ranked() -> None:
     table = {"p": {"a": [1.0], "b": [2.0], "some": [0.1]}, "q": {"a": [1.0], "b": [2.0]}}
     assert ranks_frame(frame(table), METRIC).left_out == ("some",)
-    found = profile_frame(frame(table), METRIC)
-    assert (list(found.shares), found.left_out) == (["a", "b"], ("some",))
+    profile = profile_frame(frame(table), METRIC)
+    assert (list(profile.shares), profile.left_out) == (["a", "b"], ("some",))
 
 
 def test_values_of_which_the_larger_are_better_rank_the_other_way() -> None:
@@ -131,10 +131,10 @@ def test_what_differs_by_rounding_is_as_good_as_the_best() -> None:
 
 def test_each_problem_has_the_same_weight() -> None:
     table = {"p": {"a": [1.0] * 4, "b": [2.0, 2.0, 2.0, NAN]}, "q": {"a": [3.0], "b": [1.0]}}
-    found = profile_frame(frame(table), METRIC)
-    assert found.ratios.tolist() == [1.0, 2.0, 3.0]
-    assert found.shares["a"] == pytest.approx([0.5, 0.5, 1.0])
-    assert found.shares["b"] == pytest.approx([0.5, 0.875, 0.875])
+    profile = profile_frame(frame(table), METRIC)
+    assert profile.ratios.tolist() == [1.0, 2.0, 3.0]
+    assert profile.shares["a"] == pytest.approx([0.5, 0.5, 1.0])
+    assert profile.shares["b"] == pytest.approx([0.5, 0.875, 0.875])
 
 
 def test_what_cannot_be_profiled_or_ranked_is_refused() -> None:

@@ -23,7 +23,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     untested_sentence,
 )
 
-from .test_findings import found
+from .test_findings import findings_at
 
 LABELS = {name: name.upper() for name in "abc"}
 SCENARIOS = {name: name for name in ("nominal", "x", "y")}
@@ -68,48 +68,48 @@ IN_TWO = {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}}
     ],
 )
 def test_who_leads_and_in_which_way(levels: dict[str, Any], how: dict[str, Any], clause: str) -> None:
-    assert lead_clause(found(levels, **how), LABELS, SCENARIOS) == clause
+    assert lead_clause(findings_at(levels, **how), LABELS, SCENARIOS) == clause
 
 
 def test_those_that_lead_together_are_not_told_apart_or_not_by_enough() -> None:
-    level = found({"a": 1.0, "b": 1.05, "c": 9.0}, jitter=0.3)
+    level = findings_at({"a": 1.0, "b": 1.05, "c": 9.0}, jitter=0.3)
     assert lead_clause(level, LABELS, SCENARIOS).endswith(" lead over 8 seeds and are not told apart")
-    near = found({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.112}})
+    near = findings_at({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.112}})
     assert near.tells_leaders_apart
     assert "none of them is significantly better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
 
 
 def test_medians_are_over_scenarios_and_seeds() -> None:
-    assert over_words(found(IN_TWO).standings) == "over 2 scenarios and 8 seeds"
-    assert over_words(found(IN_TWO, seeds=1).standings) == "over 2 scenarios, on one seed"
+    assert over_words(findings_at(IN_TWO).standings) == "over 2 scenarios and 8 seeds"
+    assert over_words(findings_at(IN_TWO, seeds=1).standings) == "over 2 scenarios, on one seed"
 
 
 def test_too_few_seeds_are_told_with_how_many_it_takes() -> None:
-    few = found({"a": 1.0, "b": 2.0, "c": 3.0}, seeds=5).standings.compared.values()
+    few = findings_at({"a": 1.0, "b": 2.0, "c": 3.0}, seeds=5).standings.compared.values()
     words = "5 seeds are too few to test 3 controllers against each other: it takes 6"
     assert too_few_seeds_clause(few) == words
-    assert too_few_seeds_clause(found({"a": 1.0, "b": 2.0}).standings.compared.values()) == ""
+    assert too_few_seeds_clause(findings_at({"a": 1.0, "b": 2.0}).standings.compared.values()) == ""
 
 
 def test_what_could_not_be_tested_is_told_with_the_reason() -> None:
-    assert untested_sentence(found({"a": 1.0, "b": 2.0})) == ""
-    few = found({"a": 1.0, "b": 2.0}, seeds=5)
+    assert untested_sentence(findings_at({"a": 1.0, "b": 2.0})) == ""
+    few = findings_at({"a": 1.0, "b": 2.0}, seeds=5)
     assert untested_sentence(few).endswith(
         "are too few to test 2 controllers against each other: it takes 6."
     )
     alone = "How much that depends on the seed is not known."
-    assert untested_sentence(found({"a": 1.0, "b": 2.0}, seeds=1)) == alone
-    assert untested_sentence(found({"a": 1.0}, seeds=1)) == ""
+    assert untested_sentence(findings_at({"a": 1.0, "b": 2.0}, seeds=1)) == alone
+    assert untested_sentence(findings_at({"a": 1.0}, seeds=1)) == ""
 
 
 def test_scenarios_that_the_leader_does_not_lead_are_counted() -> None:
     levels = {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 9.0, "y": 1.9}}
-    told = found(levels, seeds=1)
-    assert told.leaders == ("a",)
-    assert elsewhere_sentence(told, LABELS) == (
+    findings = findings_at(levels, seeds=1)
+    assert findings.leaders == ("a",)
+    assert elsewhere_sentence(findings, LABELS) == (
         "Scenario by scenario it leads in 1 of 2; in the others <i>B</i> (1) does."
     )
-    assert elsewhere_sentence(found({"a": 1.0, "b": 2.0}), LABELS) == ""
+    assert elsewhere_sentence(findings_at({"a": 1.0, "b": 2.0}), LABELS) == ""
 
 
 def test_who_failed_and_what_does_not_count_are_named() -> None:
@@ -121,10 +121,10 @@ def test_who_failed_and_what_does_not_count_are_named() -> None:
 
 
 def test_who_is_level_with_the_first_or_ahead_of_it_in_pairs() -> None:
-    one, two = join_words(["A"]), join_words(["B"])
-    assert level_clause([one, two]) == "the seeds do not tell it apart from A and B"
-    assert ahead_in_pairs_clause([one]) == "in pairs of the same seed A is ahead of it"
-    assert ahead_in_pairs_clause([one, two]) == "in pairs of the same seed A and B are ahead of it"
+    first, two = join_words(["A"]), join_words(["B"])
+    assert level_clause([first, two]) == "the seeds do not tell it apart from A and B"
+    assert ahead_in_pairs_clause([first]) == "in pairs of the same seed A is ahead of it"
+    assert ahead_in_pairs_clause([first, two]) == "in pairs of the same seed A and B are ahead of it"
 
 
 def test_of_average_ranks_the_best_and_who_may_be_as_good() -> None:
@@ -140,10 +140,10 @@ def test_of_average_ranks_the_best_and_who_may_be_as_good() -> None:
 
 
 def test_labels_are_text_and_a_sentence_begins_with_a_capital() -> None:
-    told = found({"a": 1.0, "b": 2.0})
-    assert "&lt;b&gt;" in lead_clause(told, LABELS | {"a": "<b>"}, SCENARIOS)
-    assert sentence(lead_clause(told, LABELS, SCENARIOS)).startswith("<b>A</b> is")
-    assert sentence(lead_clause(found(IN_TWO), LABELS, SCENARIOS)).startswith("The scenarios disagree")
+    findings = findings_at({"a": 1.0, "b": 2.0})
+    assert "&lt;b&gt;" in lead_clause(findings, LABELS | {"a": "<b>"}, SCENARIOS)
+    assert sentence(lead_clause(findings, LABELS, SCENARIOS)).startswith("<b>A</b> is")
+    assert sentence(lead_clause(findings_at(IN_TWO), LABELS, SCENARIOS)).startswith("The scenarios disagree")
 
 
 def test_of_many_the_first_are_named() -> None:

@@ -37,8 +37,8 @@ def case(
 
 def share(value: float, zero: float, full: float) -> float:
     cases = [case("rest", zero, failed=True), case("possible", full), case("own", value)]
-    (one,) = share_runs(cases, POINTS, [KEY])
-    return one.share
+    (row,) = share_runs(cases, POINTS, [KEY])
+    return row.share
 
 
 def study(name: str, points: ReferencePoints | None = POINTS) -> Study:
@@ -57,7 +57,7 @@ def study(name: str, points: ReferencePoints | None = POINTS) -> Study:
 
 
 def results(cases: list[CaseResult], points: ReferencePoints | None = POINTS) -> StudyResults:
-    problems = {name: study(name, points) for name in dict.fromkeys(one.problem for one in cases)}
+    problems = {name: study(name, points) for name in dict.fromkeys(run.problem for run in cases)}
     return StudyResults(Path("runs"), WholeStudy(StudyHead(name="both"), problems), tuple(cases), {})
 
 
@@ -66,11 +66,11 @@ sizes = st.floats(0.01, 100.0)
 
 @given(sizes, st.floats(0.0, 0.9), st.floats(0.01, 3.0), sizes, st.floats(-0.5, 0.5))
 def test_shares_stay_as_they_are_where_a_metric_is_scaled_and_shifted(
-    zero: float, possible: float, own: float, factor: float, shift: float
+    zero: float, possible: float, error: float, factor: float, shift: float
 ) -> None:
-    full, value = zero * possible, zero * own
+    full, value = zero * possible, zero * error
     expected = share(value, zero, full)
-    moved = [factor * (one + shift * zero) for one in (value, zero, full)]
+    moved = [factor * (level + shift * zero) for level in (value, zero, full)]
     assert share(*moved) == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert share(zero, zero, full) == 0.0
     assert share(full, zero, full) == pytest.approx(1.0)
@@ -91,13 +91,13 @@ def test_the_frame_has_what_the_formula_says_in_each_pair(tmp_path: Path) -> Non
         }.items()
         for seed in range(4)
     ]
-    found = results(cases)
+    both = results(cases)
     for metric in ("", "rmse"):
-        frame = found.frame()
+        frame = both.frame()
         key = "rmse.angle [deg]" if metric else KEY
         wide = frame.pivot(index=["problem", "seed"], columns="controller", values=key)
         expected = (wide["rest"] - wide["own"]) / (wide["rest"] - wide["possible"])
-        table = found.shares(metric)
+        table = both.shares(metric)
         assert set(table["controller"]) == {"own", "other"}
         got = table[table["controller"] == "own"].set_index(["problem", "seed"])["share"]
         assert np.allclose(got, expected[got.index])
@@ -116,8 +116,8 @@ def test_the_frame_has_what_the_formula_says_in_each_pair(tmp_path: Path) -> Non
     ],
 )
 def test_without_a_way_there_are_no_shares(zero: CaseResult, full: CaseResult) -> None:
-    (one,) = share_runs([zero, full, case("own", 0.5)], POINTS, [KEY])
-    assert math.isnan(one.share)
+    (row,) = share_runs([zero, full, case("own", 0.5)], POINTS, [KEY])
+    assert math.isnan(row.share)
     assert shares_of([zero, full, case("own", 0.5)], POINTS, [KEY]) == {}
 
 
@@ -127,8 +127,12 @@ def test_a_run_that_failed_has_no_share_and_is_not_averaged_away() -> None:
         for name, value in {"rest": 5.0, "possible": 1.0}.items()
         for seed in range(3)
     ]
-    own = [case("own", 1.0, seed=0), case("own", 0.9, seed=1, failed=True), case("own", 900.0, seed=2)]
-    runs = shares_of([*ends, *own], POINTS, [KEY])["own"]
+    runs_of_own = [
+        case("own", 1.0, seed=0),
+        case("own", 0.9, seed=1, failed=True),
+        case("own", 900.0, seed=2),
+    ]
+    runs = shares_of([*ends, *runs_of_own], POINTS, [KEY])["own"]
     assert [math.isnan(value) for value in runs.values()] == [False, True, False]
     summed = describe_shares(runs)
     # Of a perfect run, one that failed and one that is a hundred times worse than nothing: -100 %.

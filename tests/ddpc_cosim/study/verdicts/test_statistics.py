@@ -47,23 +47,23 @@ def table(**controllers: list[float]) -> pd.DataFrame:
 
 
 def test_what_is_said_of_a_controller() -> None:
-    one = describe(runs(4.0, NAN, 1.0, 2.0, 3.0))
-    assert one[:6] == (5, 4, 4, 2.5, 1.75, 3.25)
-    assert math.isnan(one.low)
-    assert math.isnan(one.high)
+    described = describe(runs(4.0, NAN, 1.0, 2.0, 3.0))
+    assert described[:6] == (5, 4, 4, 2.5, 1.75, 3.25)
+    assert math.isnan(described.low)
+    assert math.isnan(described.high)
 
 
 def test_where_every_run_failed_there_are_no_figures() -> None:
-    one = describe(runs(NAN, NAN))
-    assert one[:3] == (2, 0, 0)
-    assert all(map(math.isnan, one[3:]))
+    described = describe(runs(NAN, NAN))
+    assert described[:3] == (2, 0, 0)
+    assert all(map(math.isnan, described[3:]))
 
 
 def test_scenarios_do_not_multiply_the_seeds() -> None:
     """Each seed counts once, with the median of its runs: 2 and 5."""
     three = {(scenario, 0): value for scenario, value in zip("abc", (1.0, 2.0, 9.0), strict=True)}
-    one = describe({**three, ("a", 1): 4.0, ("b", 1): 6.0, ("c", 1): NAN})
-    assert one[:4] == (6, 5, 2, 3.5)
+    described = describe({**three, ("a", 1): 4.0, ("b", 1): 6.0, ("c", 1): NAN})
+    assert described[:4] == (6, 5, 2, 3.5)
 
 
 @pytest.mark.parametrize("n", [6, 7, 8])
@@ -102,12 +102,12 @@ def plain_step_down(rows: list[list[float]], pairs: list[tuple[int, int]]) -> li
 
     spread = [math.sqrt(max(mean([v * v for v in row]) - mean([*map(abs, row)]) ** 2, 0)) for row in rows]
     size = [math.sqrt(mean([v * v for v in row])) for row in rows]
-    own = {}
-    for one in {one for pair in pairs for one in pair}:
-        of_one = sorted(spread[i] for i, pair in enumerate(pairs) if one in pair)
-        own[one] = of_one[(len(of_one) - 1) // 2]
+    medians = {}
+    for name in {controller for pair in pairs for controller in pair}:
+        of_one = sorted(spread[i] for i, pair in enumerate(pairs) if name in pair)
+        medians[name] = of_one[(len(of_one) - 1) // 2]
     scale = [
-        max(min(math.hypot(own[a], own[b]), 0.7 * size[i]), 1e-9 * size[i]) or 1.0
+        max(min(math.hypot(medians[a], medians[b]), 0.7 * size[i]), 1e-9 * size[i]) or 1.0
         for i, (a, b) in enumerate(pairs)
     ]
 
@@ -121,7 +121,7 @@ def plain_step_down(rows: list[list[float]], pairs: list[tuple[int, int]]) -> li
     seen = statistics((1,) * n)
     p, largest, left = [0.0] * len(rows), 0.0, set(range(len(rows)))
     for i in sorted(left, key=lambda i: -seen[i]):
-        as_large = sum(max(one[j] for j in left) >= seen[i] - 1e-9 for one in flipped)
+        as_large = sum(max(flipped_row[j] for j in left) >= seen[i] - 1e-9 for flipped_row in flipped)
         p[i] = largest = max(largest, as_large / len(flipped))
         left.remove(i)
     return p
@@ -149,19 +149,19 @@ def test_max_t_of_unequal_scales_recomputed() -> None:
     values = rng.normal(size=(5, 8)) * [[1], [1], [10], [100], [1]] + [[-3], [0], [0], [0], [2]]
     pairs = [*combinations(range(5), 2)]
     rows = [(values[a] - values[b]).tolist() for a, b in pairs]
-    found = max_t([dict(enumerate(row)) for row in rows], pairs)
-    assert found == pytest.approx(plain_step_down(rows, pairs), abs=1e-12)
-    assert found[pairs.index((0, 4))] == 2 / 256, "a controller that varies more robs the others of nothing"
+    ps = max_t([dict(enumerate(row)) for row in rows], pairs)
+    assert ps == pytest.approx(plain_step_down(rows, pairs), abs=1e-12)
+    assert ps[pairs.index((0, 4))] == 2 / 256, "a controller that varies more robs the others of nothing"
 
 
 def test_many_seeds_are_drawn_always_the_same_and_near_the_count() -> None:
     rng = np.random.default_rng(1)
     rows = rng.normal(0.35, 1.0, size=(3, 15))
     pairs = [(0, 1), (0, 2), (1, 2)]
-    own = [dict(enumerate(row)) for row in rows]
+    levels = [dict(enumerate(row)) for row in rows]
     exact = plain_step_down(rows.tolist(), pairs)
-    assert max_t(own, pairs) == max_t(own, pairs)
-    assert max_t(own, pairs) == pytest.approx(exact, abs=0.015)  # three standard errors of 9 999 draws
+    assert max_t(levels, pairs) == max_t(levels, pairs)
+    assert max_t(levels, pairs) == pytest.approx(exact, abs=0.015)  # three standard errors of 9 999 draws
 
 
 def test_five_seeds_have_no_p() -> None:
@@ -185,7 +185,7 @@ def false_positives(seeds: int, levels: list[float], scales: list[float], studie
     equal = np.array(levels)[first] == np.array(levels)[second]
     noise = rng.normal(size=(studies, len(levels), seeds)) * np.array(scales)[:, None]
     values = noise + np.array(levels)[:, None]
-    wrong = [(step_down(own[first] - own[second], pairs)[equal] <= 0.05).any() for own in values]
+    wrong = [(step_down(draw[first] - draw[second], pairs)[equal] <= 0.05).any() for draw in values]
     return 100 * float(np.mean(wrong))
 
 
@@ -210,38 +210,43 @@ def test_the_table_of_power_is_that_of_its_script() -> None:
     table = {(row[0], row[1]): row[2:] for row in rows if len(row) == 6}
     for seeds in (6, 8):
         for scene in script["SCENES"]:
-            told = script["power"](scene, seeds, studies=60)
+            powers = script["power"](scene, seeds, studies=60)
             stated = [float(cell) for cell in table[scene, str(seeds)]]
             # Of one study a share of 13 pairs that hang together: its standard deviation is 50 % at most.
-            assert [*told.values()] == pytest.approx(stated, abs=3 * 50 / math.sqrt(60))
+            assert [*powers.values()] == pytest.approx(stated, abs=3 * 50 / math.sqrt(60))
 
 
 def test_two_controllers_compared() -> None:
     """The own run failed on seed 5, the other's on seed 6; seed 7 the other has not run."""
-    own = runs(1.0, 2.0, 3.0, 4.0, 5.0, NAN, 1.0, 1.0)
+    first = runs(1.0, 2.0, 3.0, 4.0, 5.0, NAN, 1.0, 1.0)
     other = runs(2.0, 1.0, 5.0, 4.0, 9.0, 1.0, NAN)
-    one = compare(own, other)
-    assert (one.pairs, one.seeds, one.only_own, one.only_other) == (5, 5, 1, 1)
-    assert (one.median, one.won, one.constant) == (-1.0, 3.5 / 5, False)
-    assert one.mean == pytest.approx(-6 / 5)
-    assert math.isnan(one.p), "with failed runs it is in no family of tests"
-    assert not one.tested
-    assert compare(own, other, "high").won == pytest.approx(1.5 / 5)
-    assert math.isnan(compare(own, other, "").won)
+    comparison = compare(first, other)
+    assert (comparison.pairs, comparison.seeds, comparison.only_own, comparison.only_other) == (5, 5, 1, 1)
+    assert (comparison.median, comparison.won, comparison.constant) == (-1.0, 3.5 / 5, False)
+    assert comparison.mean == pytest.approx(-6 / 5)
+    assert math.isnan(comparison.p), "with failed runs it is in no family of tests"
+    assert not comparison.tested
+    assert compare(first, other, "high").won == pytest.approx(1.5 / 5)
+    assert math.isnan(compare(first, other, "").won)
 
 
 def test_a_difference_without_pairs_is_not_known() -> None:
-    one = compare(runs(NAN, 1.0), runs(2.0, NAN))
-    assert (one.pairs, one.only_own, one.only_other, one.constant) == (0, 1, 1, False)
-    assert all(map(math.isnan, (one.median, one.low, one.won, one.p)))
-    assert not one.told_apart
+    comparison = compare(runs(NAN, 1.0), runs(2.0, NAN))
+    assert (comparison.pairs, comparison.only_own, comparison.only_other, comparison.constant) == (
+        0,
+        1,
+        1,
+        False,
+    )
+    assert all(map(math.isnan, (comparison.median, comparison.low, comparison.won, comparison.p)))
+    assert not comparison.told_apart
 
 
 def test_what_the_seed_does_not_change_is_known_and_not_tested() -> None:
-    one = compare(runs(1.0, 1.0, 1.0), runs(2.0, 2.0, 2.0))
-    assert one.constant
-    assert math.isnan(one.p)
-    assert one.told_apart
+    comparison = compare(runs(1.0, 1.0, 1.0), runs(2.0, 2.0, 2.0))
+    assert comparison.constant
+    assert math.isnan(comparison.p)
+    assert comparison.told_apart
     assert not compare(runs(1.0, 1.0, 1.0), runs(1.0, 1.0, 1.0 + 1e-12)).told_apart
     assert not compare(runs(1.0), runs(2.0)).constant, "one seed does not show whether it changes anything"
     varied = {("a", 0): 1.0, ("b", 1): 1.0}
@@ -250,38 +255,40 @@ def test_what_the_seed_does_not_change_is_known_and_not_tested() -> None:
 
 def test_rounding_is_no_difference() -> None:
     values = [3.0 + i for i in range(10)]
-    one = compare(runs(*values), runs(*(value * (1 + 1e-13) for value in values)))
-    assert (one.median, one.won, one.p) == (0.0, 0.5, 1.0)
+    comparison = compare(runs(*values), runs(*(value * (1 + 1e-13) for value in values)))
+    assert (comparison.median, comparison.won, comparison.p) == (0.0, 0.5, 1.0)
 
 
 def test_a_mean_against_the_median_tells_nobody_apart() -> None:
     """Six seeds far below 0, and eight above it by little: most seeds say what the mean does not."""
-    own = runs(*([1.0] * 6 + [5.0] * 8))
-    (one,) = compare_all(
-        {"a": own, "b": runs(*([9.0 + i / 9 for i in range(6)] + [4.9] * 8))}
+    first = runs(*([1.0] * 6 + [5.0] * 8))
+    (comparison,) = compare_all(
+        {"a": first, "b": runs(*([9.0 + i / 9 for i in range(6)] + [4.9] * 8))}
     ).differences.values()
-    assert one.corrected <= 0.05
-    assert one.mean * one.median < 0
-    assert not one.told_apart
+    assert comparison.corrected <= 0.05
+    assert comparison.mean * comparison.median < 0
+    assert not comparison.told_apart
 
 
 @given(st.lists(st.tuples(VALUES, VALUES), min_size=2, max_size=8), st.randoms(use_true_random=False))
 @settings(max_examples=50, deadline=None)
 def test_laws_of_the_comparison(pairs: list[tuple[float, float]], random: object) -> None:
     """Swapping changes signs, scaling scales, the order of runs changes nothing."""
-    own, other = (runs(*column) for column in zip(*pairs, strict=True))
-    one, swapped = compare(own, other), compare(other, own)
-    expected = (-one.median, -one.high, -one.low, 1 - one.won, one.p)
+    first, other = (runs(*column) for column in zip(*pairs, strict=True))
+    comparison, swapped = compare(first, other), compare(other, first)
+    expected = (-comparison.median, -comparison.high, -comparison.low, 1 - comparison.won, comparison.p)
     swapped_figures = (swapped.median, swapped.low, swapped.high, swapped.won, swapped.p)
     assert swapped_figures == pytest.approx(expected, nan_ok=True)
-    doubled = compare({key: 2 * v for key, v in own.items()}, {key: 2 * v for key, v in other.items()})
+    doubled = compare({key: 2 * v for key, v in first.items()}, {key: 2 * v for key, v in other.items()})
     assert doubled._replace(mean=0, median=0, low=0, high=0) == pytest.approx(
-        one._replace(mean=0, median=0, low=0, high=0), nan_ok=True
+        comparison._replace(mean=0, median=0, low=0, high=0), nan_ok=True
     )
-    assert (doubled.median, doubled.low) == pytest.approx((2 * one.median, 2 * one.low), nan_ok=True)
-    shuffled = list(own.items())
+    assert (doubled.median, doubled.low) == pytest.approx(
+        (2 * comparison.median, 2 * comparison.low), nan_ok=True
+    )
+    shuffled = list(first.items())
     random.shuffle(shuffled)  # type: ignore[attr-defined]
-    assert compare(dict(shuffled), other) == pytest.approx(one, nan_ok=True)
+    assert compare(dict(shuffled), other) == pytest.approx(comparison, nan_ok=True)
 
 
 @given(st.integers(1, 6).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.sampled_from([
@@ -294,26 +301,26 @@ def test_groups_are_all_largest_sets_without_a_pair_that_is_told_apart(
     names = "abcdef"[:n]
     apart = {(names[a], names[b]) for a, b in pairs if b < n}
     sets = [set(c) for size in range(1, n + 1) for c in combinations(names, size)]
-    alike = [one for one in sets if not any({a, b} <= one for a, b in apart)]
-    largest = [one for one in alike if not any(one < other for other in alike)]
-    found = groups(names, apart)
-    assert sorted(map(sorted, found)) == sorted(map(sorted, largest))
-    assert list(found) == sorted(found)
+    alike = [subset for subset in sets if not any({a, b} <= subset for a, b in apart)]
+    largest = [candidate for candidate in alike if not any(candidate < other for other in alike)]
+    largest_groups = groups(names, apart)
+    assert sorted(map(sorted, largest_groups)) == sorted(map(sorted, largest))
+    assert list(largest_groups) == sorted(largest_groups)
 
 
 def test_controllers_compared_each_with_each() -> None:
     noise = np.random.default_rng(0).normal(size=(3, 12))
-    found = compare_all({
+    comparison = compare_all({
         "worst": runs(*(9.0 + noise[0])), "a": runs(*(1.0 + noise[1])), "b": runs(*(1.01 + noise[1] * 1.1)),
         "failing": runs(*[NAN] * 12),
     })  # fmt: skip
-    assert set(found.order) == {"a", "b", "worst"}
-    assert found.order[-1] == "worst"
-    assert found.tests == 3
-    assert [set(group) for group in found.groups] == [{"a", "b"}, {"worst"}]
-    assert found.letters == {"a": "a", "b": "a", "worst": "b"}
+    assert set(comparison.order) == {"a", "b", "worst"}
+    assert comparison.order[-1] == "worst"
+    assert comparison.tests == 3
+    assert [set(group) for group in comparison.groups] == [{"a", "b"}, {"worst"}]
+    assert comparison.letters == {"a": "a", "b": "a", "worst": "b"}
     # All twelve signs alike are one of 4096 cases on either side, of however many pairs.
-    assert found.differences["a", "worst"].corrected == 2 / 4096
+    assert comparison.differences["a", "worst"].corrected == 2 / 4096
     assert compare_all({"low": runs(1.0), "high": runs(2.0)}, "high").order == ("high", "low")
     assert Comparisons((), {}).groups == ()
 
@@ -324,28 +331,28 @@ def test_six_seeds_are_needed_of_however_many_controllers() -> None:
         levels = {
             f"c{i}": runs(*(100.0 * i + np.random.default_rng(i).normal(size=seeds))) for i in range(14)
         }
-        found = compare_all(levels)
-        assert found.tests == 91
-        assert (found.seeds_needed, found.too_few_seeds) == (6, seeds < 6)
-        assert all(one.told_apart == (seeds == 6) for one in found.differences.values())
+        comparison = compare_all(levels)
+        assert comparison.tests == 91
+        assert (comparison.seeds_needed, comparison.too_few_seeds) == (6, seeds < 6)
+        assert all(difference.told_apart == (seeds == 6) for difference in comparison.differences.values())
 
 
 def test_who_is_constant_or_fails_runs_is_in_no_family() -> None:
     rng = np.random.default_rng(2)
-    own = {"a": runs(*rng.normal(size=8)), "b": runs(*(9 + rng.normal(size=8)))}
-    alone = compare_all(own).differences["a", "b"]
-    more = own | {
+    levels = {"a": runs(*rng.normal(size=8)), "b": runs(*(9 + rng.normal(size=8)))}
+    alone = compare_all(levels).differences["a", "b"]
+    more = levels | {
         "flat": runs(*[5.0] * 8),
         "flat too": runs(*[6.0] * 8),
         "fails": runs(NAN, *rng.normal(size=7)),
     }
-    found = compare_all(more)
-    assert found.tests == 5
-    assert found.differences["a", "b"].corrected == alone.corrected
-    assert found.differences["flat", "flat too"].told_apart
-    assert math.isnan(found.differences["flat", "flat too"].corrected)
-    failing = [one for pair, one in found.differences.items() if "fails" in pair]
-    assert all(math.isnan(one.corrected) and not one.tested for one in failing)
+    comparison = compare_all(more)
+    assert comparison.tests == 5
+    assert comparison.differences["a", "b"].corrected == alone.corrected
+    assert comparison.differences["flat", "flat too"].told_apart
+    assert math.isnan(comparison.differences["flat", "flat too"].corrected)
+    failing = [difference for pair, difference in comparison.differences.items() if "fails" in pair]
+    assert all(math.isnan(difference.corrected) and not difference.tested for difference in failing)
 
 
 def two_scenarios(first: float, second: float) -> dict[str, Runs]:
@@ -362,27 +369,27 @@ def two_scenarios(first: float, second: float) -> dict[str, Runs]:
 
 
 def test_interactions_are_differences_of_differences() -> None:
-    own = two_scenarios(1.0, -1.0)
-    (found,) = interactions(own)
+    levels = two_scenarios(1.0, -1.0)
+    (interaction,) = interactions(levels)
     values = [
-        own["a"]["x", seed] - own["b"]["x", seed] - own["a"]["y", seed] + own["b"]["y", seed]
+        levels["a"]["x", seed] - levels["b"]["x", seed] - levels["a"]["y", seed] + levels["b"]["y", seed]
         for seed in range(8)
     ]
-    assert (found.pair, found.conditions, found.constant) == (("a", "b"), ("x", "y"), False)
-    assert found.median == pytest.approx(np.median(values))
-    assert found.corrected == 2 / 256
-    assert found.is_significant
+    assert (interaction.pair, interaction.conditions, interaction.constant) == (("a", "b"), ("x", "y"), False)
+    assert interaction.median == pytest.approx(np.median(values))
+    assert interaction.corrected == 2 / 256
+    assert interaction.is_significant
     (alike,) = interactions(two_scenarios(1.0, 1.0))
     assert not alike.is_significant
 
 
 def test_interactions_of_what_the_seed_does_not_change_are_known() -> None:
-    own = {
+    levels = {
         name: {(scenario, seed): value for scenario, value in of.items() for seed in range(2)}
         for name, of in {"a": {"x": 1.0, "y": 2.0}, "b": {"x": 2.0, "y": 1.0}, "c": {"x": 1.0}}.items()
     }
-    (found,) = interactions(own)
-    assert (found.median, found.constant, found.is_significant) == (-2.0, True, True)
+    (interaction,) = interactions(levels)
+    assert (interaction.median, interaction.constant, interaction.is_significant) == (-2.0, True, True)
 
 
 def test_the_table_of_a_study() -> None:
@@ -390,13 +397,13 @@ def test_the_table_of_a_study() -> None:
     gone = [NAN] * 10  # which is a row all the same
     frame = table(base=base, better=[v - 1 - v / 99 for v in base], failing=[*base[:4], *gone[4:]], gone=gone)
     second = frame[~frame.controller.isin(["failing", "gone"])].assign(problem="q")
-    found = compare_frame(pd.concat([frame, second]), "rmse.y [m]", "base").set_index(
+    compared = compare_frame(pd.concat([frame, second]), "rmse.y [m]", "base").set_index(
         ["problem", "controller"]
     )
     of_p, of_q = ("base", "better", "failing", "gone"), ("base", "better")
-    assert [*found.index] == [*(("p", name) for name in of_p), *(("q", name) for name in of_q)]
-    assert found.loc[("p", "gone")][["runs", "known", "pairs", "only_other"]].tolist() == [10, 0, 0, 10]
-    better, failing = found.loc[("p", "better")], found.loc[("p", "failing")]
+    assert [*compared.index] == [*(("p", name) for name in of_p), *(("q", name) for name in of_q)]
+    assert compared.loc[("p", "gone")][["runs", "known", "pairs", "only_other"]].tolist() == [10, 0, 0, 10]
+    better, failing = compared.loc[("p", "better")], compared.loc[("p", "failing")]
     counts = [failing[key] for key in ("runs", "failed", "known", "only_other", "pairs")]
     assert counts == [10, 6, 4, 6, 4]
     assert (better.won, better.p, better.corrected) == (1.0, 2 / 1024, 2 / 1024)
@@ -404,9 +411,9 @@ def test_the_table_of_a_study() -> None:
     assert better.told_apart
     assert better.difference == pytest.approx(np.median([-1 - v / 99 for v in base]))
     assert better.difference_low <= better.difference <= better.difference_high < 0
-    assert found.loc[("q", "better")].corrected == 2 / 1024, "one problem changes nothing of another"
-    assert found.loc[("p", "base")][["median", "lower", "upper"]].tolist() == [4.5, 2.25, 6.75]
-    assert math.isnan(found.loc[("p", "base")].difference)
+    assert compared.loc[("q", "better")].corrected == 2 / 1024, "one problem changes nothing of another"
+    assert compared.loc[("p", "base")][["median", "lower", "upper"]].tolist() == [4.5, 2.25, 6.75]
+    assert math.isnan(compared.loc[("p", "base")].difference)
 
 
 def test_the_order_of_the_rows_changes_nothing() -> None:
