@@ -22,12 +22,13 @@ from ddpc_reports import write_report
 
 PICTURES = Path(__file__).parents[1] / "pictures" / "reports"
 PARTS = {
+    "benchmark": {"by-problem": "#s1-by-problem-table"},
     "paper": {
         "responses": "#s1-1-responses",
         "errors": "#s1-1-errors",
         "spread": "#s1-1-spread-0",
         "step-time": "#s1-1-step-time",
-    }
+    },
 }
 _COLOURS = 256
 _WIDTH, _HEIGHT = 1280, 900
