@@ -1,5 +1,7 @@
-"""Tests on named pipes are matters of POSIX."""
+"""Tests on named pipes, and on paths of any length, are matters of POSIX."""
 
 import sys
 
-collect_ignore = ["test_cluster.py"] if sys.platform == "win32" else []
+collect_ignore = (
+    ["running/test_cluster.py", "test_working_directory_posix.py"] if sys.platform == "win32" else []
+)

@@ -1,8 +1,5 @@
 """Where a case runs: in a temporary folder of its own, whose files are told, and kept on request."""
 
-import os
-import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +10,7 @@ from studies import run_file
 
 from ddpc_cosim import ConfigError, StudyResults
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.processes.scratch import remove
-from ddpc_cosim.study.case_files import LEFT_FOLDER, keep_left, left_in, read_run
+from ddpc_cosim.study.case_files import LEFT_FOLDER, left_in, read_run
 from ddpc_cosim.study.runner import Selection
 
 pytestmark = pytest.mark.xdist_group("working directory")
@@ -122,69 +118,3 @@ def test_of_many_files_some_are_named(tmp_path: Path) -> None:
     assert len(left) == 101
     assert left["099"] == 2
     assert left["and 50 more"] == 100
-
-
-DIGGER = """
-import os
-from dataclasses import dataclass
-import numpy as np
-from ddpc_cosim import Controller
-
-@dataclass(kw_only=True)
-class Digs(Controller):
-    def start(self, loop):
-        here = os.getcwd()
-        for depth in range(3000):
-            os.mkdir("d")
-            os.chdir("d")
-            if depth % 40 == 0:
-                open("file", "w").close()
-        os.chdir(here)
-        for _ in range(30):
-            os.mkdir("b" * 200)
-            os.chdir("b" * 200)
-            open("c" * 200, "w").close()
-        os.chdir(here)
-    def step(self, sample):
-        return np.ones(1)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no path there is as long")
-@pytest.mark.parametrize("keep_files", [False, True])
-def test_folders_that_are_too_deep(
-    write_study: Callable[..., Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    keep_files: bool,
-) -> None:
-    """They cost neither their case nor another, are told as far as one goes, and do not stay."""
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    (tmp_path / "digging.py").write_text(DIGGER, encoding="utf-8")
-    path = write_study("digging:Digs", "mfapc")
-    try:
-        results = run(path, keep_files=keep_files)
-        assert [case.outcome for case in results.cases] == ["completed", "completed"]
-        folder = results.cases[0].folder
-        left, nested = read_run(folder)["left"], "d/" * 50
-        assert left["d/file"] == left["d/" * 41 + "file"] == 0
-        assert f"{nested}d/" in left
-        assert ("b" * 200 + "/") * 2 + "c" * 200 in left
-        assert (folder / LEFT_FOLDER).exists() is keep_files
-        assert not any(temporary.glob("*/**/d"))
-        assert not keep_files or (folder / LEFT_FOLDER / ("d/" * 41) / "file").exists()
-    finally:
-        remove(tmp_path)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="permissions are matters of POSIX")
-def test_what_cannot_be_kept_is_listed(tmp_path: Path) -> None:
-    (tmp_path / "work").mkdir()
-    os.mkfifo(tmp_path / "work" / "pipe")
-    (tmp_path / "work" / "link").symlink_to("/etc/passwd")
-    (tmp_path / "work" / "file").write_bytes(b"xy")
-    assert set(left_in(tmp_path / "work")) == {"pipe", "link", "file"}
-    keep_left(tmp_path / "work", tmp_path / "case")
-    assert [path.name for path in (tmp_path / "case" / LEFT_FOLDER).iterdir()] == ["file"]
