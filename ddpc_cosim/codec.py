@@ -388,9 +388,10 @@ def _equal(value: Any, other: Any) -> bool:
 
 ChangeName = Callable[[SettingInfo, str], str]
 """Returns what takes the place of a name, of a file or plant, given what is declared of it."""
+_NOTHING_DECLARED = SettingInfo("")
 
 
-def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = SettingInfo("")) -> Any:  # noqa: B008
+def with_names(hint: Any, value: Any, change: ChangeName, info: SettingInfo = _NOTHING_DECLARED) -> Any:
     """Return unchecked values of a type from a file, with each name of a file or plant changed.
 
     Parameters

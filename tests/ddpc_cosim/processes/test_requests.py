@@ -20,8 +20,6 @@ from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, Update, run_study
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are a matter of POSIX")
-
 WriteStudy = Callable[..., Path]
 done: list[str] = []
 
