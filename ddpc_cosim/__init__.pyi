@@ -6,6 +6,7 @@ from .controller import (
     OK as OK,
     Action as Action,
     Bounds as Bounds,
+    Charge as Charge,
     Controller as Controller,
     ControllerCode as ControllerCode,
     Loop as Loop,
@@ -15,6 +16,7 @@ from .controller import (
 from .coupling.plant import CoupledPlant as CoupledPlant
 from .coupling.wiring import Connection as Connection
 from .data_quality import judge_prediction as judge_prediction
+from .disturbances import ForecastFile as ForecastFile, KnownDisturbance as KnownDisturbance
 from .errors import (
     ConfigError as ConfigError,
     ControllerError as ControllerError,
@@ -44,6 +46,7 @@ from .master import cosimulate as cosimulate, record as record
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .plugins import study_folder as study_folder
+from .prices import Price as Price
 from .settings import (
     SIGNAL as SIGNAL,
     Choice as Choice,
@@ -59,6 +62,7 @@ from .settings import (
     weight_matrix as weight_matrix,
 )
 from .signals import (
+    Band as Band,
     Constant as Constant,
     Drift as Drift,
     GaussianNoise as GaussianNoise,

@@ -4,7 +4,7 @@ import hashlib
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import accumulate, pairwise
 from numbers import Integral
 from pathlib import Path
@@ -20,6 +20,9 @@ from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 
 OK = "ok"
+_TABLES = ("u", "y", "measured", "d")
+_NOTHING: FloatArray = np.empty(0)
+_NO_DISTURBANCES = _NOTHING.reshape(0, 0)
 _NO_INFO: Mapping[str, float] = MappingProxyType({})
 _NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 
@@ -60,6 +63,8 @@ class Recording:
         Time between rows [s].
     seams : tuple of int
         The first row of every piece but the first; empty: the rows are one experiment.
+    d : array, shape (T, n_d), optional
+        Known disturbances, as they were measured; default: there are none, shape (T, 0).
 
     Raises
     ------
@@ -73,11 +78,15 @@ class Recording:
     measured: FloatArray
     sampling_time: float
     seams: tuple[int, ...] = ()
+    d: FloatArray = field(default_factory=lambda: _NO_DISTURBANCES)
 
     def __post_init__(self) -> None:
-        shapes = {name: getattr(self, name).shape for name in ("u", "y", "measured")}
+        if self.d is _NO_DISTURBANCES:
+            object.__setattr__(self, "d", np.empty((len(self.u), 0)))
+        shapes = {name: getattr(self, name).shape for name in _TABLES}
         if any(len(shape) != 2 for shape in shapes.values()) or len({s[0] for s in shapes.values()}) != 1:
-            raise DataError(f"recording: u, y and measured need shapes (T, m), (T, p), (T, q); got {shapes}")
+            needed = "(T, m), (T, p), (T, q) and (T, n_d)"
+            raise DataError(f"recording: u, y, measured and d need shapes {needed}; got {shapes}")
         for name in shapes:
             rows, columns = np.nonzero(~np.isfinite(getattr(self, name)))
             if rows.size:
@@ -98,17 +107,18 @@ class Recording:
         """
         if not recordings:
             raise DataError("recordings: there are none to join")
-        shapes = {(part.u.shape[1], part.y.shape[1], part.measured.shape[1]) for part in recordings}
+        shapes = {tuple(getattr(part, name).shape[1] for name in _TABLES) for part in recordings}
         if len(shapes) > 1:
             numbers = ", ".join(map(str, sorted(shapes)))
-            raise DataError(f"recordings: different numbers of (inputs, outputs, measurements): {numbers}")
+            what = "(inputs, outputs, measurements, disturbances)"
+            raise DataError(f"recordings: different numbers of {what}: {numbers}")
         times = {recording.sampling_time for recording in recordings}
         if max(times) - min(times) > 1e-9 * max(times):
             raise DataError(f"recordings: different sampling times: {sorted(times)} s")
         pieces = [piece for recording in recordings for piece in recording.pieces]
         first = list(accumulate(map(len, pieces)))
-        u, y, measured = (np.vstack([getattr(p, name) for p in pieces]) for name in ("u", "y", "measured"))
-        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]))
+        u, y, measured, d = (np.vstack([getattr(piece, name) for piece in pieces]) for name in _TABLES)
+        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]), d)
 
     @classmethod
     def read_csv(
@@ -118,6 +128,7 @@ class Recording:
         inputs: Sequence[Variable | str],
         outputs: Sequence[Variable | str],
         measurements: Sequence[Variable | str] = (),
+        disturbances: Sequence[Variable | str] = (),
         columns: Mapping[str, str] = _NO_COLUMNS,
         time_column: str = "time",
         time_tolerance: float = TIME_TOLERANCE,
@@ -130,7 +141,7 @@ class Recording:
             The files: UTF-8 text with a header, columns separated by commas, semicolons or tabs.
         sampling_time : float
             Time between rows [s].
-        inputs, outputs, measurements : sequence of Variable or str
+        inputs, outputs, measurements, disturbances : sequence of Variable or str
             The signals, each in a column of its name; no measurements: the outputs. A variable's values are
             converted from the unit of the column's header to its own; those of a bare name are as they stand.
         columns : mapping of str to str
@@ -146,19 +157,20 @@ class Recording:
             All that is wrong with the files: missing columns, units that do not fit, cells that are not
             finite numbers, uneven times, each with file, line and column.
         """
-        kinds = [list(inputs), list(outputs), list(measurements or outputs)]
+        kinds = [list(inputs), list(outputs), list(measurements or outputs), list(disturbances)]
         signals = {_name(signal): signal for kind in kinds for signal in kind}
         wanted = [
             Column(None if isinstance(signal, str) else signal, columns.get(name, name))
             for name, signal in signals.items()
         ]
         places = {name: i for i, name in enumerate(signals)}
-        u, y, measured = ([places[_name(signal)] for signal in kind] for kind in kinds)
+        u, y, measured, d = ([places[_name(signal)] for signal in kind] for kind in kinds)
         pieces, faults = list[Recording](), list[str]()
         for path in map(Path, paths):
             try:
                 _, values = read_table(path, wanted, time_column, sampling_time, time_tolerance)
-                pieces.append(cls(values[:, u], values[:, y], values[:, measured], sampling_time))
+                signals_of = (values[:, u], values[:, y], values[:, measured])
+                pieces.append(cls(*signals_of, sampling_time, d=values[:, d]))
             except DataError as error:
                 faults += error.faults
         if faults:
@@ -171,6 +183,7 @@ class Recording:
         inputs: Sequence[Variable | str],
         outputs: Sequence[Variable | str],
         measurements: Sequence[Variable | str] = (),
+        disturbances: Sequence[Variable | str] = (),
     ) -> None:
         """Write a CSV file that :meth:`read_csv` gives back; parameters as there.
 
@@ -185,7 +198,8 @@ class Recording:
                 f"recording: {len(self.pieces)} pieces do not go into one file: write each of them"
             )
         table = {"time [s]": np.arange(len(self), dtype=np.float64) * self.sampling_time}
-        kinds = ((inputs, self.u), (outputs, self.y), (measurements or outputs, self.measured))
+        tables = (self.u, self.y, self.measured, self.d)
+        kinds = zip((inputs, outputs, measurements or outputs, disturbances), tables, strict=True)
         for kind, values in kinds:
             if len(kind) != values.shape[1]:
                 raise DataError(f"recording: {len(kind)} signals for {values.shape[1]} columns: {kind}")
@@ -202,14 +216,15 @@ class Recording:
         """The experiments that it consists of."""
         ends = pairwise((0, *self.seams, len(self)))
         return tuple(
-            Recording(self.u[i:j], self.y[i:j], self.measured[i:j], self.sampling_time) for i, j in ends
+            Recording(self.u[i:j], self.y[i:j], self.measured[i:j], self.sampling_time, d=self.d[i:j])
+            for i, j in ends
         )
 
     @property
     def digest(self) -> str:
         """A hash of its content: SHA-256, in hexadecimal digits."""
         content = hashlib.sha256(repr((self.seams, self.sampling_time)).encode())
-        for array in (self.u, self.y, self.measured):
+        for array in (self.u, self.y, self.measured, *([self.d] if self.d.size else [])):
             content.update(repr(array.shape).encode() + array.tobytes())
         return content.hexdigest()
 
@@ -219,6 +234,32 @@ class Recording:
 
 def _name(signal: Variable | str) -> str:
     return signal if isinstance(signal, str) else signal.name
+
+
+class Charge(NamedTuple):
+    """What a signal costs over time, but for the price: that is :attr:`Sample.price`.
+
+    An input or a measurement held at x over one sampling time costs ``price * rate * x * sampling_time``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the price.
+    signal : str
+        The input or measurement that is paid for.
+    rate : float
+        Amounts that one unit of the signal comes to in a second: 1 / 3.6e6 kWh where it is power in W.
+    unit : str
+        Unit of the money, such as ``"EUR"``.
+    known : bool
+        Whether prices of the future are known; otherwise that of now is held over the horizon.
+    """
+
+    name: str
+    signal: str
+    rate: float
+    unit: str
+    known: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +273,7 @@ class Loop:
     inputs, outputs, measurements : tuple of Variable
         The m inputs, p controlled outputs and q measurements.
     bounds : Bounds
-        Limits of inputs and controlled outputs.
+        Limits of inputs and controlled outputs; of those that move with time the outermost.
     recording : Recording or None
         The experiments to learn from, where the study has some.
     rng : numpy.random.Generator
@@ -244,6 +285,17 @@ class Loop:
         The loop goes on where the recording, which is one piece, ended. Otherwise it starts from rest:
         before the first sample the inputs were at their start values and the measurements as they are at
         that sample.
+    disturbances : tuple of Variable
+        The n_d known disturbances: what acts on the plant besides the inputs, and is measured.
+    bands : tuple of str
+        The controlled outputs that are wanted within a band in place of at a reference.
+    moving_limits : tuple of str
+        The inputs and controlled outputs whose limits change with time: see :attr:`Sample.input_limits`.
+    charges : tuple of Charge
+        The n_prices signals that are paid for.
+    past : Recording or None
+        The last samples before the first one, up to that just before it, where the controller takes over a
+        running plant; None: it starts from rest, as above.
     """
 
     sampling_time: float
@@ -255,6 +307,11 @@ class Loop:
     rng: np.random.Generator
     preview: int = 1
     continues_recording: bool = False
+    disturbances: tuple[Variable, ...] = ()
+    bands: tuple[str, ...] = ()
+    moving_limits: tuple[str, ...] = ()
+    charges: tuple[Charge, ...] = ()
+    past: Recording | None = None
 
 
 class Sample(NamedTuple):
@@ -275,6 +332,22 @@ class Sample(NamedTuple):
         not known: the last one that is known, with a preview of 0 the setpoint, stands in their place.
     setpoint : array, shape (p,)
         The reference at this sample, r_k.
+    disturbance : array, shape (n_d,)
+        Known disturbances, measured now: of an input the value that the plant holds over [t_k, t_k+1). It is
+        the last value that arrived where that is missing, and never NaN.
+    forecast : array, shape (horizon, n_d)
+        What is expected to be measured of them later: row i at t_{k+1+i}, of an input that over
+        [t_{k+1+i}, t_{k+2+i}).
+    band_now, band : arrays, shapes (p, 2) and (horizon, p, 2)
+        Between what the outputs are wanted, lower and upper: at this sample, and from t_{k+1} on as far as
+        the reference is known. Both are the reference where that is a line; where it is a band the reference
+        is its point nearest to what is measured now.
+    price : array, shape (horizon + 1, n_prices)
+        Prices, row 0 for [t_k, t_{k+1}).
+    input_limits : array, shape (horizon + 1, m, 2)
+        Lower and upper limits of the inputs, row 0 for [t_k, t_{k+1}), known as far as the reference is.
+    output_limits : array, shape (horizon, p, 2)
+        Those of the controlled outputs, row i at t_{k+1+i}.
     """
 
     k: int
@@ -283,6 +356,13 @@ class Sample(NamedTuple):
     measured: FloatArray
     reference: FloatArray
     setpoint: FloatArray
+    disturbance: FloatArray = _NOTHING
+    forecast: FloatArray = _NOTHING.reshape(0, 0)
+    band_now: FloatArray = _NOTHING.reshape(0, 2)
+    band: FloatArray = _NOTHING.reshape(0, 0, 2)
+    price: FloatArray = _NOTHING.reshape(0, 0)
+    input_limits: FloatArray = _NOTHING.reshape(0, 0, 2)
+    output_limits: FloatArray = _NOTHING.reshape(0, 0, 2)
 
 
 class Action(NamedTuple):

@@ -406,6 +406,37 @@ InputSignal = Annotated[Reference, Kinds(REFERENCES | by_kind(WhiteNoise))]
 """What may act on a plant: the same, and noise."""
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class Band(Section):
+    """Between what an output is wanted, in place of a reference.
+
+    Parameters
+    ----------
+    lower, upper : float or Reference
+        The edges over time.
+    unit : str
+        Their unit, where they have none of their own; empty: that of the signal that it is for.
+    """
+
+    lower: float | ReferenceSignal = setting(doc="lower edge", unit=SIGNAL)
+    upper: float | ReferenceSignal = setting(doc="upper edge", unit=SIGNAL)
+    unit: str = setting("", doc="unit of the edges; empty: the variable's own")
+
+    def edges(self, variable: Variable) -> tuple[Reference, Reference]:
+        """Return both edges in a variable's own unit; errors as of :meth:`Signal.in_unit`."""
+        lower, upper = (self._edge(edge, variable) for edge in (self.lower, self.upper))
+        return lower, upper
+
+    def _edge(self, edge: float | Reference, variable: Variable) -> Reference:
+        signal = edge if isinstance(edge, Reference) else Constant(float(edge))
+        if self.unit and isinstance(signal, Signal) and not signal.unit:
+            signal = replace(signal, unit=self.unit)
+        return in_unit_of(variable, signal)
+
+    def __repr__(self) -> str:
+        return shown_without(self, () if self.unit else ("unit",))
+
+
 @dataclass(frozen=True, slots=True)
 class GaussianNoise:
     """Measurement noise: independent, normal, zero mean.
