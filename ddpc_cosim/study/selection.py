@@ -12,6 +12,7 @@ from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.signals import Reference, level_in_unit
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.variables import Variable, converter
+from fmu_plants.spelling import nearest
 
 K = TypeVar("K", str, int)
 
