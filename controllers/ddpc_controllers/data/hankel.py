@@ -441,4 +441,5 @@ def without_first(recording: Recording, samples: int) -> Recording:
         recording.measured[kept],
         recording.sampling_time,
         tuple(int(seam) for seam in np.unique(seams) if 0 < seam < len(kept)),
+        recording.d[kept],
     )
