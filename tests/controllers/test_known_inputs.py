@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from ddpc_controllers import LQR, MPC, KoopmanMPC
+from ddpc_controllers import LQR, MPC, PID, KoopmanMPC
 from ddpc_controllers.data.dictionaries import Identity
 from ddpc_controllers.models.identification import Identified, fit_arx
 from ddpc_controllers.models.linear import StateSpace
@@ -277,6 +277,7 @@ TAKING_OVER: list[Make] = [
     lambda: make_mpc(),
     lambda: MPC(disturbance="output", horizon=HORIZON),
     lambda: LQR(input_weight=1.0),
+    lambda: PID(proportional=0.2, integral=0.1, derivative=0.02, filter_time=0.05, setpoint_share=0.7),
     lambda: KoopmanMPC(dictionary=Identity(), delays=3),
 ]
 
@@ -294,3 +295,93 @@ def test_switched_on_where_it_runs_already_it_changes_nothing(make: Make) -> Non
     for k in range(switched, steps):
         u = answer_of(other, sample_at(k, y[k], reference, d, other.horizon))
         assert np.abs(u - inputs[k]).max() < 1e-9
+
+
+def slow_plant() -> Plant:
+    """One input whose effect the disturbance's lags behind."""
+    plant = Plant(1)
+    plant.a, plant.b = np.diag([0.9, 0.97, 0.8]), np.array([[0.1], [0.0], [0.0]])
+    plant.e, plant.c = np.array([[0.0, 0.05], [0.03, 0.0], [0.0, 0.1]]), np.array([[1.0, 1.0, 0.5]])
+    return plant
+
+
+def test_pid_without_limits_is_its_formula_plus_what_it_feeds_forward() -> None:
+    plant = slow_plant()
+    loop, d = disturbed_loop(plant, np.inf, excited(plant, 400)), course(4, 150)
+    gains: dict[str, Any] = {"proportional": 2.0, "integral": 3.0, "derivative": 0.1, "filter_time": 0.2}
+    controller = PID(**gains, feedforward=True)
+    states, inputs, reference = close(controller, plant, loop, d, 120)
+    bare = PID(**gains)
+    bare.start(loop)
+    assert controller._forward is not None
+    amounts = controller._forward.gains[0]
+    added = np.zeros(120)
+    for j, samples in enumerate((0.0, 3.0, 10.0, 30.0, 100.0)):
+        pole = np.exp(-1.0 / samples) if samples else 0.0
+        for i in range(2):
+            lagged = 0.0
+            for k in range(120):
+                lagged = pole * lagged + (1.0 - pole) * (d[k, i] - d[0, i])
+                added[k] += amounts[j, i] * lagged
+    for k, (x, u) in enumerate(zip(states, inputs, strict=True)):
+        expected = answer_of(bare, sample_at(k, plant.c @ x, reference, d, 1)) + added[k]
+        assert np.abs(u - expected).max() <= 1e-8
+
+
+def test_what_pid_feeds_forward_is_what_the_closed_loop_wants() -> None:
+    """Less than half of what disturbs this plant is left by it.
+    plant = slow_plant()
+    recording = excited(plant, 400)
+    loop = disturbed_loop(plant, np.inf, recording)
+
+    def left(feedforward: bool, seed: int) -> float:
+        d, rest = course(seed, 320), 0.0
+        controller = PID(proportional=2.0, integral=3.0, feedforward=feedforward)
+        controller.start(loop)
+        x = np.linalg.solve(np.eye(3) - plant.a, plant.e @ d[0])
+        controller._u = np.zeros(1)
+        for k in range(300):
+            y = plant.c @ x
+            u = answer_of(controller, sample_at(k, y, np.tile(plant.c @ x * 0.0, (320, 1)), d, 1))
+            x = plant.a @ x + plant.b @ u + plant.e @ d[k]
+            rest += float(np.abs(y).sum()) if k > 100 else 0.0
+        return rest
+
+    assert all(left(True, seed) < 0.5 * left(False, seed) for seed in range(3))
+
+
+def test_pid_needs_a_recording_only_to_feed_forward() -> None:
+    assert not PID().uses_recording
+    assert PID(feedforward=True).uses_recording
+    plant, limit = PLANTS[0]
+    loop = disturbed_loop(plant, limit, excited(plant))
+    controller = PID(feedforward=True)
+    controller.start(loop)
+    assert controller.knowledge(loop)["forecast"] == "not used"
+    assert "sun" in controller.knowledge(loop)["measures"]
+    with pytest.raises(ConfigError, match="feeds disturbances forward"):
+        controller.c_code(loop)
+    bare = replace(loop, disturbances=(), recording=None)
+    PID(feedforward=True).start(bare)
+
+
+def test_pid_with_a_gain_that_does_not_stabilise_the_model_feeds_nothing_forward() -> None:
+    plant, limit = PLANTS[0]
+    controller = PID(proportional=-500.0, feedforward=True)
+    controller.start(disturbed_loop(plant, limit, excited(plant)))
+    assert any("no disturbance is fed forward" in text for text in controller.warnings())
+
+
+def test_pid_keeps_limits_that_move_and_does_not_wind_up_at_them() -> None:
+    plant, _ = PLANTS[0]
+    loop = replace(disturbed_loop(plant, 5.0), moving_limits=("u0",))
+    controller, still = PID(proportional=0.1, integral=2.0), PID(proportional=0.1, integral=2.0)
+    controller.start(loop)
+    still.start(replace(loop, moving_limits=(), bounds=replace(loop.bounds, u_max=np.full(1, 0.25))))
+    limits = np.tile([-5.0, 0.25], (2, 1, 1))
+    for k in range(20):
+        sample = Sample(k, 0.1 * k, *[np.zeros(1)] * 2, np.ones((1, 1)), np.ones(1), input_limits=limits)
+        assert answer_of(controller, sample) == answer_of(still, sample)
+    limits = np.tile([-5.0, 5.0], (2, 1, 1))
+    freed = Sample(20, 2.0, *[np.zeros(1)] * 2, np.ones((1, 1)), np.ones(1), input_limits=limits)
+    assert 0.25 < answer_of(controller, freed)[0] <= 0.25 + 0.1 * 2.0 + 1e-12
