@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
 from ddpc_cosim import FloatArray, Recording, Variable, judge_prediction
@@ -252,10 +253,15 @@ def standardised(signals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
     return (signals - means) / deviations, means, deviations
 
 
+def stands_still(signals: FloatArray) -> NDArray[np.bool_]:
+    """Return which signals, time along axis 0, are constant but for rounding, shape (width,)."""
+    means = np.maximum(np.abs(signals.mean(axis=0)), 1.0)
+    return np.asarray(np.maximum(signals.std(axis=0), np.finfo(float).tiny) < _NEGLIGIBLE * means)
+
+
 def _deviations(signals: FloatArray) -> FloatArray:
     size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
-    constant = size < _NEGLIGIBLE * np.maximum(np.abs(signals.mean(axis=0)), 1.0)
-    return np.asarray(np.where(constant, 1.0, size))
+    return np.asarray(np.where(stands_still(signals), 1.0, size))
 
 
 def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Sequence[Span]) -> list[str]:

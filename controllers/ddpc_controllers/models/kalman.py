@@ -247,9 +247,9 @@ class ModelBased(ScaledSignals):
         ConfigError
             The model or a setting does not fit the loop.
         """
-        scales = self._scales = Scales(loop, self.scaling)
-        self._model = self._scaled_model(loop, scales)
-        self._judgement = self._judge(scales.loop)
+        loop = self._see(loop)
+        self._model = self._scaled_model(loop, self._scales)
+        self._judgement = self._judge(self._scales.loop)
         self._start_scaled()
 
     def _judge(self, loop: Loop) -> Judgement:
