@@ -166,7 +166,7 @@ def fit_by_model(
     states : array, shape (T, n)
         Its state at every sample: what is known before the input of the sample is decided.
     recording : Recording
-        Inputs and outputs at the same samples, off the operating point.
+        Inputs, outputs and disturbances at the same samples, off the operating point.
     steps : int
         Samples that are predicted.
     head : int
@@ -182,8 +182,8 @@ def fit_by_model(
     first = window_starts(len(states), steps + 1, recording.seams)
     x = states[first]
     for step in range(steps):
-        x = x @ model.a.T + recording.u[first + step] @ model.b.T
-    errors = recording.y[first + steps] - x @ model.c.T
+        x = x @ model.a.T + recording.u[first + step] @ model.b.T + recording.d[first + step] @ model.e.T
+    errors = recording.y[first + steps] - x @ model.c.T - recording.d[first + steps] @ model.f.T
     fitted, held_out = errors[first + steps < head], errors[first >= head]
     return _in_parts(fitted, held_out, recording.y) if len(fitted) and len(held_out) else None
 
