@@ -253,6 +253,8 @@ class Charge(NamedTuple):
         Unit of the money, such as ``"EUR"``.
     known : bool
         Whether prices of the future are known; otherwise that of now is held over the horizon.
+    amount : str
+        Unit of the amounts, such as ``"kWh"``.
     """
 
     name: str
@@ -260,6 +262,7 @@ class Charge(NamedTuple):
     rate: float
     unit: str
     known: bool
+    amount: str = ""
 
 
 @dataclass(frozen=True, slots=True)

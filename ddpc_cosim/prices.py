@@ -65,4 +65,4 @@ class Price(Section):
         except ValueError as error:
             what = f'a price in "{self.unit}" does not fit {self.signal}: {variable.unit or 1} over time'
             raise ConfigError(f"price {name}: {what} is not an amount in {amount or 1}") from error
-        return Charge(name, self.signal, rate * self.factor, self.money, self.known)
+        return Charge(name, self.signal, rate * self.factor, self.money, self.known, amount.strip())
