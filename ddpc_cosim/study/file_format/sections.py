@@ -500,6 +500,11 @@ class MetricsSection(Section):
 
     cost: CostSection | None = setting(None, doc="a quadratic cost, which controllers are ranked by")
     relevant: RelevantSection | None = setting(None, doc="the smallest difference that matters; none: 1 %")
+    ranking: Literal["error", "money", "pareto"] | None = setting(
+        None,
+        doc="what controllers are ranked by: errors or the cost, money, or money and discomfort both; none: "
+        "the last where there are prices, else the first",
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
