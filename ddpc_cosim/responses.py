@@ -146,6 +146,7 @@ class Response(SampledSignal):
             factor=abs(self.variable.shown_in.factor),
             ends=tuple(self._ends) or (self._end(self._last_fifth),),
             width=self._width,
+            is_disturbed=self.disturbed is not None,
         )
 
     def _travel(self, at_rest: float) -> float:
@@ -324,6 +325,8 @@ class Tracking:
         The ends of the stretches of constant reference; that of the run where there is none.
     width : float, optional
         Mean width of its band; None where it has a reference.
+    is_disturbed : bool
+        Whether the problem declares disturbances.
     """
 
     output: str
@@ -336,6 +339,7 @@ class Tracking:
     factor: float = 1.0
     ends: tuple[EndWindow, ...] = ()
     width: float | None = None
+    is_disturbed: bool = False
 
     @property
     def is_regulation(self) -> bool:
@@ -345,8 +349,9 @@ class Tracking:
     def written(self) -> dict[str, Any]:
         """Return what :meth:`read` reads: what only bands and declared disturbances have, where they are."""
         table = asdict(self)
-        if self.width is None:
-            del table["width"]
+        for key in ("width", "is_disturbed"):
+            if table[key] is None or table[key] is False:
+                del table[key]
         table["ends"] = [
             {key: value for key, value in end.items() if key != "disturbed" or value} for end in table["ends"]
         ]
@@ -368,7 +373,9 @@ class Tracking:
             for end in table["ends"]
         )
         width = float(table["width"]) if "width" in table else None
-        return cls(output=str(table["output"]), ends=ends, width=width, **numbers)
+        is_disturbed = bool(table.get("is_disturbed", False))
+        output = str(table["output"])
+        return cls(output=output, ends=ends, width=width, is_disturbed=is_disturbed, **numbers)
 
 
 _NUMBERS = ("travel", "room", "nominal", "deviation", "scatter", "mean_abs_error", "factor")

@@ -229,7 +229,8 @@ class Trace:
         rows = slice(0, self.held)
         of = (output, self.y[rows, i], self._limits(output, i), self.sampling_time, self.reference[rows, i])
         if output.name in self.bands:
-            return BandResponse(*of, settings.preview, self.preview, band=self.band[rows, i])
+            band = self.band[rows, i]
+            return BandResponse(*of, settings.preview, self.preview, self._disturbed(), band=band)
         return Response(*of, settings.preview, self.preview, self._disturbed())
 
     def _limits(self, variable: Variable, i: int, *, of_input: bool = False) -> Limits:

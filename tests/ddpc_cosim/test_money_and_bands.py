@@ -9,7 +9,23 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import trapezoid
 
-from ddpc_cosim import Bounds, FloatArray, Outcome, Trace, Variable
+from ddpc_cosim import (
+    Band,
+    Bounds,
+    Controller,
+    FloatArray,
+    KnownDisturbance,
+    Loop,
+    Outcome,
+    Plant,
+    Price,
+    Sample,
+    Sine,
+    Steps,
+    Trace,
+    Variable,
+    cosimulate,
+)
 from ddpc_cosim.controller import Charge
 from ddpc_cosim.metrics import discomfort, headline, split_key
 from ddpc_cosim.responses import Charged, Tracking
@@ -221,3 +237,66 @@ def test_where_a_declared_disturbance_moves_there_is_nothing_to_settle_to() -> N
     early = np.where(np.arange(41) < 10, 0.0, 100.0)
     assert moving(np.zeros(41)) == moving(early) == [False]
     assert moving(np.arange(41.0)) == [True]
+
+
+class Room(Plant):
+    """It loses a tenth of what it is warmer than 10 degC at each sample, and gains a kelvin per kW."""
+
+    inputs = (replace(HEATER, min=0.0, max=8e3, start=1e3), Variable("outdoors", "K", start=283.15))
+    outputs = (ROOM, POWER)
+
+    def reset(self, parameters: Any = None, t0: float = 0.0) -> FloatArray:
+        self.t = 293.15
+        return np.array([self.t, 1.0])
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.t += 0.1 * (u[1] - self.t) + u[0] / 1e3
+        return np.array([self.t, u[0] / 1e3])
+
+
+class Thermostat(Controller):
+    """It heats by the distance to what it is asked for."""
+
+    horizon = 1
+
+    def start(self, loop: Loop) -> None:
+        assert loop.bands == ("room",)
+
+    def step(self, sample: Sample) -> FloatArray:
+        return 500.0 + 2e3 * (sample.setpoint - sample.y)
+
+
+def test_a_loop_with_bands_disturbances_and_prices_has_all_of_it() -> None:
+    """Everything derived again from what signals.csv holds."""
+    trace = cosimulate(
+        Room(),
+        Thermostat(),
+        sampling_time=H,
+        duration=30 * H,
+        outputs=["room"],
+        measurements=["room", "power"],
+        reference={"room": Band(Steps((0.0, 6000.0), (16.0, 20.0)), 24.0, "degC")},
+        disturbances={"outdoors": KnownDisturbance(signal=Sine(10.0, 20000.0, offset=275.0))},
+        prices={
+            "bought": Price(signal="heater", price=Steps((0.0, 9000.0), (0.1, 0.4)), unit="EUR/kWh"),
+            "metered": Price(
+                signal="power", price=0.01, unit="EUR/kWh", emissions=200, emissions_unit="g/kWh"
+            ),
+        },
+    )
+    table = trace.columns()
+    metrics = trace.metrics()
+    y, low, high = (table[f"{name}room [K]"][:-1] for name in ("", "lower ", "upper "))
+    distance = np.maximum(low - y, 0) + np.maximum(y - high, 0)
+    assert distance.any()
+    assert metrics["band_violation.room [degC.h]"] == pytest.approx(distance.sum() / 6)
+    assert metrics["mean_abs_error.room [degC]"] == pytest.approx(distance.mean())
+    kw, metered = table["heater [W]"][:-1] / 1e3, table["power [kW]"]
+    bought = np.where(table["time [s]"][:-1] < 9000, 0.1, 0.4) @ kw / 6
+    read = trapezoid(metered, dx=1 / 6)
+    assert metrics["money [EUR]"] == pytest.approx(bought + 0.01 * read)
+    assert metrics["energy [kWh]"] == pytest.approx(kw.sum() / 6 + read)
+    assert metrics["emissions [kg]"] == pytest.approx(0.2 * read)
+    (output,) = trace.tracking()
+    assert output.is_disturbed
+    assert output.width == pytest.approx(float((high - low).mean()))

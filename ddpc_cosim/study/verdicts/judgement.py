@@ -94,11 +94,7 @@ def run_of(case: CaseResult) -> Run:
 
 
 def judged(
-    scenarios: Mapping[str, "ScenarioSection"],
-    cases: Iterable[CaseResult],
-    resting: Mapping[Run, CaseResult],
-    *,
-    disturbed: bool = False,
+    scenarios: Mapping[str, "ScenarioSection"], cases: Iterable[CaseResult], resting: Mapping[Run, CaseResult]
 ) -> tuple[CaseResult, ...]:
     """Return cases of one problem with what is concluded of them.
 
@@ -110,23 +106,17 @@ def judged(
         The cases.
     resting : mapping of Run to CaseResult
         The runs of doing nothing, under the same disturbances; where one is missing, it decides nothing.
-    disturbed : bool
-        Whether the problem declares disturbances.
     """
-    return tuple(
-        _judged(case, resting.get(run_of(case)), scenarios.get(case.scenario), disturbed) for case in cases
-    )
+    return tuple(_judged(case, resting.get(run_of(case)), scenarios.get(case.scenario)) for case in cases)
 
 
-def _judged(
-    case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None", disturbed: bool
-) -> CaseResult:
+def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None") -> CaseResult:
     if case.outcome is not Outcome.COMPLETED:
         return replace(case, failed=True, failure="", settles=False, left=math.inf)
     nothing = {tracking.output: tracking for tracking in resting.tracking} if resting else {}
     outputs = {tracking.output: tracking for tracking in case.tracking}
     unavoidable = {
-        name: _unavoidable(output, nothing.get(name), scenario, disturbed) for name, output in outputs.items()
+        name: _unavoidable(output, nothing.get(name), scenario) for name, output in outputs.items()
     }
     completed = resting is not None and resting.outcome is Outcome.COMPLETED
     at_rest = nothing if completed else {}
@@ -157,13 +147,14 @@ def _moved(tracking: Tracking, nothing: Tracking | None) -> float:
 
 
 def _unavoidable(
-    tracking: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None", disturbed: bool
+    tracking: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None"
 ) -> Unavoidable:
     noise = scenario.noise.get(tracking.output, 0.0) if scenario else 0.0
     quantum = scenario.effects.get("quantum", {}).get(tracking.output, 0.0) if scenario else 0.0
     # Where nothing acts on the plant, what its own dynamics do is not noise. The smaller: what is wild in one
     # of the two runs, as an unstable plant that is left alone, is none either.
-    acts = disturbed or (scenario is not None and bool(scenario.disturbances or scenario.inputs))
+    by_scenario = scenario is not None and bool(scenario.disturbances or scenario.inputs)
+    acts = tracking.is_disturbed or by_scenario
     scatter = min(tracking.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0
     return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)
 

@@ -278,7 +278,6 @@ def test_while_a_declared_disturbance_moves_nothing_is_to_settle() -> None:
 
 
 def test_declared_disturbances_make_their_scatter_unavoidable() -> None:
-    noisy = replace(within_band(0.4, 0.4), scatter=0.5)
-    for disturbed, settles in ((False, False), (True, True)):
-        (result,) = judged({}, [replace(case("a"), tracking=(noisy,))], {}, disturbed=disturbed)
-        assert result.settles is settles
+    for is_disturbed, settles in ((False, False), (True, True)):
+        noisy = replace(within_band(0.4, 0.4), scatter=0.5, is_disturbed=is_disturbed)
+        assert concluded(noisy).settles is settles
