@@ -329,7 +329,7 @@ def test_pid_without_limits_is_its_formula_plus_what_it_feeds_forward() -> None:
 
 
 def test_what_pid_feeds_forward_is_what_the_closed_loop_wants() -> None:
-    """Less than half of what disturbs this plant is left by it.
+    """Less than half of what disturbs this plant is left by it."""
     plant = slow_plant()
     recording = excited(plant, 400)
     loop = disturbed_loop(plant, np.inf, recording)
