@@ -80,8 +80,8 @@ def summary_table(
     lines = _lines(results, findings, rows)
     further: list[str] = []
     if len(scenarios) > 1:
-        of_metrics = _metric_columns(results, keys)
-        further = [column.heading.title for column in of_metrics if column.key not in headline(keys)]
+        of_metrics, ranked = _metric_columns(results, keys), _headline(results, keys)
+        further = [column.heading.title for column in of_metrics if column.key not in ranked]
     where = f": {results.folder / METRICS_FILE}"
     return _set(_title(results), rows, columns, lines, console, further=further, where=where)
 
@@ -182,7 +182,7 @@ def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int) -> Ta
 
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
     """Return the columns of one scenario, the most informative first."""
-    ranked, step = headline(keys), _metric_column(_STEP)
+    ranked, step = _headline(results, keys), _metric_column(_STEP)
     names = [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
     several = len({case.seed for case in results.cases}) > 1
@@ -196,6 +196,10 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
     return [*columns, *spreads, *more] if len(ranked) == 1 else [*columns, *more, *spreads]
 
 
+def _headline(results: StudyResults, keys: Sequence[str]) -> tuple[str, ...]:
+    return headline(keys, results.study.metrics.ranking)
+
+
 def _metric_column(key: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Cell:
         value = summed(cases, key)
@@ -207,7 +211,7 @@ def _metric_column(key: str) -> _Column:
 
 def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
     """Return a column for each scenario, and for each output if there are several."""
-    ranked = headline(keys)
+    ranked = _headline(results, keys)
     return [
         _scenario_column(results, name, key, _detail(key) if len(ranked) > 1 else "")
         for name in dict.fromkeys(case.scenario for case in results.cases)
@@ -252,7 +256,7 @@ def _title(results: StudyResults) -> str:
 def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> list[str]:
     """Return the lines below the table."""
     lines, ranking = [], findings.standings
-    keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
+    keys = _headline(results, tuple(dict.fromkeys(key for case in results.cases for key in case.metrics)))
     what = dict.fromkeys(
         f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
     )

@@ -49,7 +49,8 @@ def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings)
     if findings.lead is Lead.NOBODY and ranking.left_out:
         return Markup("")
     labels = {key: controller.label for key, controller in who.items()}
-    clause = lead_clause(findings, labels, {condition.scenario: condition.label for condition in seen})
+    scenarios = {condition.scenario: condition.label for condition in seen}
+    clause = lead_clause(findings, labels, scenarios, lambda key, value: formatter(key, 3)(value))
     counting = [condition for condition in seen if condition.scenario not in ranking.left_out]
     unseen = [condition.label for condition in seen if condition.scenario in ranking.left_out]
     offers = {
@@ -77,6 +78,10 @@ def _details(
     ranking = findings.standings
     if not findings.leaders:
         return Markup("")
+    if findings.lead is Lead.FRONT:
+        return Markup("")
+    if ranking.is_of_money and findings.following:
+        return ": " + _both(ranking, who, findings.leaders[0], findings.following)
     if findings.lead in (Lead.LEVEL, Lead.ALIKE):
         return ": " + _of_leaders(findings, [who[name] for name in findings.leaders[:_NAMED]])
     first = findings.leaders[0]
@@ -87,6 +92,13 @@ def _details(
         label, behind = who[findings.following].label, _behind(ranking, first, findings.following)
         text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
     return text
+
+
+def _both(ranking: Standings, who: dict[str, ControllerResults], first: str, other: str) -> Markup:
+    """Write money and discomfort of the first and of the one that it is compared with."""
+    return Markup("{}, against {} of <i>{}</i>").format(
+        _values(ranking, first), _values(ranking, other, brief=True), who[other].label
+    )
 
 
 def _of_leaders(findings: Findings, shown: Sequence[ControllerResults]) -> Markup:
@@ -121,10 +133,11 @@ def _why_alike(difference: Difference) -> str:
 def _values(ranking: Standings, name: str, *, brief: bool = False) -> Markup:
     """Write the medians of a controller by which it is ranked, with intervals unless brief."""
     parts = []
-    for key in ranking.keys:
+    for key in dict.fromkeys((*ranking.keys, *ranking.discomforts)):
         sample = ranking.samples[key][name]
         interval = "" if brief else _ends(sample.low, sample.high, key)
-        of = f" of {metric_signal(key)}" if len(ranking.keys) > 1 else ""
+        signal = metric_signal(key) if len(ranking.keys) > 1 else ""
+        of = f" of {signal}" if signal else ""
         parts.append(f"{with_unit(significant(sample.median, 3), metric_unit(key))}{interval}{of}")
     what = "" if brief else f"{metric_name(ranking.keys[0])} "
     return Markup("{}{}").format(what, join_words(parts))

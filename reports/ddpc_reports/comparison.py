@@ -190,7 +190,7 @@ class Condition:
     @property
     def headline(self) -> tuple[str, ...]:
         """The keys that controllers are ranked by."""
-        return headline(self._keys)
+        return headline(self._keys, self.results.study.metrics.ranking)
 
     def keys(self, name: str) -> tuple[str, ...]:
         """Return the keys of a metric: one for each signal that has it."""

@@ -580,13 +580,15 @@ class MetricsSection(Section):
 
     cost: CostSection | None = setting(None, doc="a quadratic cost, which controllers are ranked by")
     relevant: RelevantSection | None = setting(None, doc="the smallest difference that matters; none: 1 %")
-    ranking: Literal["error", "money", "pareto"] = setting(
-        "error", doc="what controllers are ranked by: errors or the cost, money, or both side by side"
+    ranking: Literal["error", "money", "pareto"] | None = setting(
+        None,
+        doc="what controllers are ranked by: errors or the cost, money, or money and discomfort both; none: "
+        "the last where there are prices, else the first",
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield that there are two things to rank by."""
-        if self.cost is not None and self.ranking != "error":
+        if self.cost is not None and self.ranking in ("money", "pareto"):
             yield "ranking", f'"{self.ranking}" and cost both rank; leave one of them out'
 
 
