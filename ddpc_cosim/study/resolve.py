@@ -247,6 +247,7 @@ class _Resolution:
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
+        self._check_ranking()
         self._check_relevant()
         self._check_claims()
         self.references = self._references()
@@ -534,6 +535,12 @@ class _Resolution:
             )
             for key in ("inputs", "changes"):
                 self.errors.require_known((*place, key), "input", getattr(cost, key), self.inputs.names)
+
+    @independent
+    def _check_ranking(self) -> None:
+        ranking = self.study.metrics.ranking
+        if ranking in ("money", "pareto") and not self.study.prices:
+            self.errors.add(("metrics", "ranking"), f'"{ranking}" needs prices', ("prices",))
 
     @independent
     def _check_relevant(self) -> None:
