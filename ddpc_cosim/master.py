@@ -37,6 +37,7 @@ from ddpc_cosim.loop_setup import (
     whole_steps,
 )
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.processes.fork_server import ONE_THREAD
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.safe_calls import (
@@ -201,9 +202,12 @@ def cosimulate(
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
             diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
+    switched = setup.switched(controller)
     if not continue_recording:
         plant.plan(sampling_time, end)
-        y_plant = reset_plant(plant, parameters, start_time)
+        y_plant = reset_plant(plant, {**(parameters or {}), **switched} or parameters, start_time)
+    elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
+        set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
     loop = setup.loop(CONTROLLER_STREAM, horizon, recording, continues=continue_recording)
     start_controller(controller, loop)
@@ -347,7 +351,7 @@ def _experiment(
         table = np.zeros((len(time), len(setup.outputs)))
         loop = replace(loop, bounds=_no_bounds(loop))
     plant.plan(sampling_time, len(inputs) * sampling_time + onwards)
-    y_plant = reset_plant(plant, parameters, 0.0)
+    y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, 0.0)
     rows = _Rows(setup, loop, time, table, len(inputs), exciting.horizon)
     setup.start(rows.time, in_experiment=True)
     try:
@@ -481,5 +485,5 @@ def _write_row(
     held = clip_inputs(decision, rows.bounds)
     applied = setup.actuators.apply(k, held.u)
     given = setup.actuators.changed(applied)
-    rows.store.complete(k, held.u, held.status, held.seconds, given, held.info)
+    rows.store.complete(k, setup.commanded(controller, held.u), held.status, held.seconds, given, held.info)
     return applied
