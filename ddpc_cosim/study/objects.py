@@ -17,6 +17,7 @@ from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
 from ddpc_cosim.durations import seconds_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
+from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.prices import Price
@@ -44,7 +45,6 @@ from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 
-Limit = float | Reference
 Bounds = Mapping[str, tuple[Limit, Limit] | Mapping[str, Limit | str]]
 """Limits by signal: both, or a table of ``min``, ``max`` and ``unit``; one left out is the plant's own."""
 

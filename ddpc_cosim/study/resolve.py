@@ -19,6 +19,7 @@ from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataErro
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
+from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.prices import Price
@@ -50,10 +51,9 @@ from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
-from ddpc_cosim.variables import FloatArray, Variable, unit_shown
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, unit_shown
 
 _MOST_LISTED = 8
-Limit = float | Reference
 Limits = dict[str, tuple[Limit, Limit]]
 
 _PLANT: Place = ("plant",)
@@ -93,7 +93,7 @@ class ResolvedStudy:
     prices : dict of str to dict of str to Price
         Those of each scenario, all of which are signals.
     read : tuple of Variable
-        Outputs that are read besides those that are controlled and measured: disturbances, and what is paid.
+        Outputs that are known disturbances, and neither controlled nor measured.
     forecast_horizon : int
         The longest horizon of the controllers.
     warm_up_controller : StabiliserSection or None
@@ -314,12 +314,10 @@ class _Resolution:
         return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
 
     def _read_besides(self) -> tuple[Variable, ...]:
-        """Return the outputs that are neither controlled nor measured, and asked for all the same."""
-        measured = {*self.outputs.names, *self.measurements.names}
-        asked = {v.name: v for v in (*self.disturbances.variables.values(), *self.prices.signals)}
-        return tuple(
-            v for name, v in asked.items() if name in self.variables.outputs and name not in measured
-        )
+        """Return the outputs that are known disturbances, and neither controlled nor measured."""
+        others = self.disturbances.variables.keys() - {*self.outputs.names, *self.measurements.names}
+        known = self.disturbances.variables
+        return tuple(v for name, v in known.items() if name in others & self.variables.outputs.keys())
 
     @staticmethod
     def _with_settings(
@@ -620,15 +618,25 @@ class _Resolution:
         if lower is None or upper is None:
             return None
         time = self._times()
-        crossed = np.flatnonzero(lower.at(time) > upper.at(time))
-        if crossed.size:
-            when, shown = time[crossed[:1]], unit_shown(variable, section.unit)
-            low, high = (float(shown.from_unit(edge.at(when))[0]) for edge in (lower, upper))
-            unit = f" {shown.name}" if shown.name else ""
-            where = f"at t = {in_words(float(when[0]))}"
-            what = f"lower ({low:g}{unit}) is above upper ({high:g}{unit}) {where}"
-            self.errors.add((*place, "band"), f"{what}; needed: lower up to upper throughout the run")
+        shown = unit_shown(variable, section.unit)
+        self._check_order((*place, "band"), ("lower", "upper"), (lower.at(time), upper.at(time)), shown)
         return Band(lower, upper)
+
+    def _check_order(
+        self, place: Place, names: tuple[str, str], sides: tuple[FloatArray, FloatArray], shown: DisplayUnit
+    ) -> None:
+        """Report where the first of two courses, in a variable's unit, is above the second."""
+        crossed = np.flatnonzero(sides[0] > sides[1])
+        if crossed.size:
+            k = crossed[0]
+            unit = f" {shown.name}" if shown.name else ""
+            low, high = (
+                f"{name} ({float(shown.from_unit(side[k : k + 1])[0]):g}{unit})"
+                for name, side in zip(names, sides, strict=True)
+            )
+            when = f"at t = {in_words(float(self._times()[k]))}"
+            needed = f"needed: {names[0]} up to {names[1]} at all times"
+            self.errors.add(place, f"{low} is above {high} {when}; {needed}")
 
     def _times(self) -> FloatArray:
         """Return the times of all samples [s], and of those as far ahead as any controller looks."""
@@ -690,12 +698,7 @@ class _Resolution:
             limit.at(time) if isinstance(limit, Reference) else np.full(len(time), limit)
             for limit in (low, high)
         )
-        crossed = np.flatnonzero(~(below < above))
-        if crossed.size:
-            when, shown = crossed[0], unit_shown(variable, section.unit)
-            pair = [float(shown.from_unit(side[when : when + 1])[0]) for side in (below, above)]
-            error = limits_error(pair)
-            self.errors.add(place, f"{error} at t = {in_words(float(time[when]))}, throughout the run")
+        self._check_order(place, ("min", "max"), (below, above), unit_shown(variable, section.unit))
         return low, high
 
     @independent
