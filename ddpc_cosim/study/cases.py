@@ -73,8 +73,8 @@ _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
-_RESTING = "idle"
-"""The controller, by entry point, that leaves the inputs at rest."""
+_RESTING, _PLANT_CONTROL = "idle", "plant"
+"""The controllers, by entry point, that leave the inputs at rest, and to the plant's own control."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
@@ -305,7 +305,10 @@ def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def doing_nothing(cases: Iterable[Case]) -> list[Case]:
-    """Return the runs with inputs at rest that cases are judged by: one per problem, scenario and seed."""
+    """Return the runs that cases are judged by: one per problem, scenario and seed.
+
+    Inputs are at rest, and the plant's own control acts where it has one.
+    """
     groups: dict[tuple[str, str], dict[int, Case]] = {}
     for case in cases:
         if case.section["type"]:
@@ -316,7 +319,12 @@ def doing_nothing(cases: Iterable[Case]) -> list[Case]:
 def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     """Yield the runs of one scenario with inputs at rest, by seed."""
     first = next(iter(driven.values()))
-    section = {"type": _RESTING, "settings": {}}
+    signals = names(first.undriven)
+    is_controlled = any(
+        name in first.plant.switches and first.plant.switches[name] not in signals
+        for name in names(first.inputs)
+    )
+    section = {"type": _PLANT_CONTROL if is_controlled else _RESTING, "settings": {}}
     case = replace(
         first,
         controller=DOING_NOTHING,

@@ -236,6 +236,9 @@ class Problem:
         each, and ``percent`` of the best figure or of the task. Default: 1 %.
     start, nominal, display_units : mapping of str to float, float, str
         Start values of inputs, sizes that controllers scale by, and units to show, in place of the plant's.
+    switches : mapping of str to str
+        For inputs that override the plant's own control, the input that switches the override on; an empty
+        one: none. Default: ``NAME_activate`` of ``NAME_u``, where the plant's description says so.
     fmi_type : str
         How an FMU is run.
     isolated : bool or "auto"
@@ -295,6 +298,7 @@ class Problem:
     ranking: Ranking | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    switches: Mapping[str, str] = field(default_factory=dict)
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
     isolated: Literal["auto", True, False] = "auto"

@@ -1,6 +1,6 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.csv_files import forget_cells
-from ddpc_cosim.description import PlantDescription
+from ddpc_cosim.description import PlantDescription, switch_faults
 from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
@@ -20,6 +20,8 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
 from ddpc_cosim.outlook import Limit
+from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.prices import Price
 from ddpc_cosim.responses import Actuation, Response
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
@@ -217,6 +219,11 @@ def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str
             yield from _dotted_names(value, f"{before}{name}.")
 
 
+def _no_switch(name: str) -> str:
+    """Return how a study says that an input has no switch."""
+    return f'or say that it is not one: plant.switches = {{ {name} = "" }}'
+
+
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
@@ -237,6 +244,7 @@ class _Resolution:
             return
         self.plant, self.variables = plant
         self._check_plant()
+        self._check_switches()
         self.signals = SelectedSignals(study, self.variables, errors)
         self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
         self.measurements = self.signals.measurements
@@ -453,6 +461,42 @@ class _Resolution:
                 kind = "consists of parts" if self.plant.coupled else "is a Python class"
                 what = f'"{PLANT}" stands for the FMU of the plant, which {kind}'
                 errors.add(controller.place, what)
+
+    @independent
+    def _check_switches(self) -> None:
+        """Find the switches of inputs, and check what the study says of them."""
+        section, errors, at = self.study.plant, self.errors, (*_PLANT, "switches")
+        faults = dict(switch_faults(section.switches, self.variables.inputs))
+        for name, fault in faults.items():
+            errors.add((*at, name), fault)
+        if not faults:
+            self.variables = self.variables.switched_by(section.switches)
+        switches = self.variables.switches
+        self.plant = replace(self.plant, switches=switches)
+        switched = {switch: name for name, switch in switches.items()}
+        driven = section.inputs or self.variables.default_inputs or self.variables.inputs
+        for switch in filter(switched.__contains__, driven):
+            name = switched[switch]
+            instead = f"who drives {name} switches it on; drive that, {_no_switch(name)}"
+            errors.add((*_PLANT, "inputs"), f'"{switch}" is the switch of {name}: {instead}')
+        self._check_not_switched_off((*_PLANT, "start"), section.start, driven)
+        self._check_not_switched_off((*_PLANT, "parameters"), section.parameters, driven)
+        for scenario, changes in self.study.scenarios.items():
+            self._check_not_switched_off(("scenarios", scenario, "parameters"), changes.parameters, driven)
+        for controller in self.controllers:
+            if isinstance(controller.controller, PlantControl) and not switches.keys() & set(driven):
+                what = "the plant has no control of its own: no input that is driven has a switch"
+                hint = 'name it in plant.switches, e.g. { NAME_u = "NAME_activate" }'
+                errors.add((*controller.place[:-1], "type"), f"{what}; {hint}")
+
+    def _check_not_switched_off(
+        self, place: Place, values: Mapping[str, ParameterValue], driven: Collection[str]
+    ) -> None:
+        """Report values that leave an input to the plant which controllers drive."""
+        for name, switch in self.variables.switches.items():
+            if name in driven and values.get(switch) in (0, "false"):
+                what = f"switches the override {name} off, which the controllers drive"
+                self.errors.add((*place, switch), f"{what}; leave it out, {_no_switch(name)}")
 
     @independent
     def _check_recording(self) -> None:
