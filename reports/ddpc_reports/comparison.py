@@ -192,6 +192,10 @@ class Condition:
         """The keys that controllers are ranked by."""
         return headline(self._keys, self.results.study.metrics.ranking)
 
+    def name_of(self, key: str) -> str:
+        """Return what a metric is called here: of an output with a band, errors are distances to it."""
+        return metric_name(key, self._keys)
+
     def keys(self, name: str) -> tuple[str, ...]:
         """Return the keys of a metric: one for each signal that has it."""
         return tuple(key for key in self._keys if split_key(key)[0] == name)

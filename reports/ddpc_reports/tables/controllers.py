@@ -55,6 +55,8 @@ LIMITS = (
 def response_table(condition: Condition, prefix: str) -> Table | None:
     """Return the figures of the step response, a row per controller; None if the references have no steps."""
     columns = _columns(condition, RESPONSE)
+    if not condition.keys("overshoot"):  # outputs with bands alone
+        return None
     if all(math.isnan(float(cell.raw)) for _, cells in columns for cell in cells):
         return None
     preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
@@ -104,8 +106,8 @@ def metric_column(condition: Condition, key: str) -> Column:
     shown = [value * factor for value in values]
     cells = _median_cells(condition, key, shown, 4 if key in condition.headline else 3)
     if len(condition.keys(split_key(key)[0])) > 1:
-        return Heading(metric_signal(key), unit, group=metric_name(key)), cells
-    return Heading(metric_name(key), unit), cells
+        return Heading(metric_signal(key), unit, group=condition.name_of(key)), cells
+    return Heading(condition.name_of(key), unit), cells
 
 
 def _median_cells(condition: Condition, key: str, values: Sequence[float], digits: int = 4) -> list[Cell]:
