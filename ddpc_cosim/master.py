@@ -601,21 +601,21 @@ class _Rows:
         """
         setup, store, outlook = self._setup, self.store, self.outlook
         measured = setup.measure(first + k, y_plant)
-        told = measured.d[setup.known]
-        if outlook.wish.is_band.any():
+        disturbance = measured.d[setup.known] if setup.disturbances else _NOTHING
+        if outlook.has_bands:
             store.reference[k] = outlook.nearest(k, measured.y)
-        if "d" in store.more:
-            store.more["d"][k] = told
-        if "charged" in store.more:
+        if setup.disturbances:
+            store.more["d"][k] = disturbance
+        if setup.charges:
             store.more["charged"][k] = np.nan
         store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
-        sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, told)
+        sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, disturbance)
         decision = ask_controller(controller, sample, store.u.shape[1]).with_status(measured.status)
         held = clip_inputs(decision, outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
-        if "charged" in store.more:
+        if setup.charges:
             store.more["charged"][k] = setup.charged(applied, measured.all_outputs)
         given = setup.actuators.changed(applied)
         store.complete(k, held.u, held.status, held.seconds, given, held.info)

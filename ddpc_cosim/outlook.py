@@ -206,6 +206,11 @@ class Outlook:
         Of the disturbances.
     horizon, preview : int
         How many samples the controller wants to see, and how many of the references it does.
+
+    Attributes
+    ----------
+    has_bands : bool
+        Whether an output is wanted within a band.
     """
 
     def __init__(
@@ -223,9 +228,11 @@ class Outlook:
         self._ahead = np.minimum(np.arange(horizon + 1), preview)
         self._expected = expected
         self._bands = np.flatnonzero(wish.is_band)
+        self.has_bands = bool(self._bands.size)
         self._secret = np.array([not charge.known for charge in charges], dtype=bool)
-        self._no_forecast = np.empty((horizon, 0))
-        self._no_forecast.setflags(write=False)
+        self._no_forecast, self._no_price = np.empty((horizon, 0)), np.empty((horizon + 1, 0))
+        for table in (price, self._no_forecast, self._no_price):
+            table.setflags(write=False)
 
     def bounds(self, k: int) -> Bounds:
         """Return the limits at sample k."""
@@ -245,15 +252,16 @@ class Outlook:
         """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
         rows: Any = slice(k, k + 1 + self._horizon) if self._sees_all else k + self._ahead
         band, limits = self.wish.band[rows], self.limits.table[rows]
-        reference = self._nearest(y, self.wish.reference[rows], band)
+        reference = self.wish.reference[rows]
+        if self.has_bands:
+            reference = self._nearest(y, reference, band)
         forecast = self._no_forecast
         if disturbance.size:
             forecast = self._expected.after(k, self._horizon, disturbance)
-        price = self.price[k : k + 1 + self._horizon]
-        if self._secret.any():
-            price = np.where(self._secret, price[0], price)
-        for array in (band, limits, reference, forecast, price):
-            array.setflags(write=False)
+            forecast.setflags(write=False)
+        if not self._sees_all or self.has_bands:
+            for array in (band, limits, reference):
+                array.setflags(write=False)
         return Sample(
             k,
             time,
@@ -265,15 +273,21 @@ class Outlook:
             forecast,
             band[0],
             band[1:],
-            price,
+            self._price(k) if self.charges else self._no_price,
             limits[:, : self._inputs],
             limits[1:, self._inputs :],
         )
 
+    def _price(self, k: int) -> FloatArray:
+        """Return the prices that are known at sample k, shape (horizon + 1, n_prices)."""
+        price = self.price[k : k + 1 + self._horizon]
+        if self._secret.any():
+            price = np.where(self._secret, price[0], price)
+            price.setflags(write=False)
+        return price
+
     def _nearest(self, y: FloatArray, reference: FloatArray, band: FloatArray) -> FloatArray:
         """Return references, shape (..., p), of bands their points nearest to y; without y their middle."""
-        if not self._bands.size:
-            return reference
         reference = reference.copy()
         for i in self._bands:
             if np.isfinite(y[i]):

@@ -382,12 +382,25 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         raise DataError(
             f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
+    if recording.d.shape[1] != len(loop.disturbances):
+        names = ", ".join(variable.name for variable in loop.disturbances) or "none"
+        raise DataError(
+            f"{who}: the recording has {recording.d.shape[1]} known disturbance(s), the loop {names}: record "
+            'them, or set known = "unknown"'
+        )
     if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
         raise DataError(
             f"{who}: the recording was sampled every {recording.sampling_time:g} s, the loop runs every "
             f"{loop.sampling_time:g} s: record at the loop's sampling time"
         )
     return recording
+
+
+def running_past(loop: Loop) -> Recording | None:
+    """Return the samples before the first one, in one piece, where the plant is running; None: it rests."""
+    if loop.continues_recording and loop.recording is not None:
+        return loop.recording.pieces[-1]
+    return loop.past
 
 
 def resting_input(loop: Loop) -> FloatArray:
@@ -441,4 +454,5 @@ def without_first(recording: Recording, samples: int) -> Recording:
         recording.measured[kept],
         recording.sampling_time,
         tuple(int(seam) for seam in np.unique(seams) if 0 < seam < len(kept)),
+        recording.d[kept],
     )
