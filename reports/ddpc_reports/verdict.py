@@ -216,19 +216,27 @@ def tracking(condition: Condition) -> list[Statement]:
 
 def _is_cost(key: str) -> bool:
     """Whether controllers are ranked by a cost: it may weigh inputs too, and is not a tracking error."""
-    return split_key(key)[0] == "cost"
+    return split_key(key)[0] in ("cost", "money")
 
 
 def _topic(key: str) -> str:
     return "Cost" if _is_cost(key) else "Tracking"
 
 
+def _signal(condition: Condition, key: str, keys: Sequence[str]) -> str:
+    """Return the signal of one of several figures; where they are not of the same kind, what it is of it."""
+    if len({split_key(other)[0] for other in keys}) == 1:
+        return metric_signal(key)
+    return " of ".join(filter(None, (condition.name_of(key), metric_signal(key))))
+
+
 def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> Statement:
     """State in short who is first, next and last for each of several signals."""
     seeds = len(condition.seeds)
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
-    lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
-    text = Markup("In {}{}:").format(condition.name_of(keys[0]), over) + by_signal(lines)
+    lines = [(_signal(condition, key, keys), _in_short(condition, key)) for key in keys]
+    what = " and ".join(dict.fromkeys(condition.name_of(key) for key in keys))
+    text = Markup("In {}{}:").format(what, over) + by_signal(lines)
     return Statement(topic, text + _too_few_seeds([condition], keys))
 
 
@@ -487,11 +495,8 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
     """Return who tracks best in which scenario; nothing for a single one."""
     if len(conditions) < 2:
         return []
-    lines = [
-        (metric_signal(key), _winners(conditions, key))
-        for key in dict.fromkeys(key for condition in conditions for key in condition.headline)
-    ]
-    keys = [key for condition in conditions for key in condition.headline]
+    keys = [*dict.fromkeys(key for condition in conditions for key in condition.headline)]
+    lines = [(_signal(conditions[0], key, keys), _winners(conditions, key)) for key in keys]
     return [Statement(_topic(keys[0]), by_signal(lines))] if lines else []
 
 

@@ -92,10 +92,11 @@ def _columns(condition: Condition, names: Sequence[str]) -> list[Column]:
     return [metric_column(condition, key) for name in names for key in condition.keys(name)]
 
 
-def meanings(names: Sequence[str]) -> str:
-    """Say what the metrics of a table are."""
+def meanings(names: Sequence[str], keys: Sequence[str] = ()) -> str:
+    """Say what the metrics of a table are, among the keys of which those of bands have names of their own."""
     metrics = all_metrics()
-    sentences = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
+    called = {split_key(key)[0]: metric_name(key, keys) for key in keys}
+    sentences = (f"{called.get(name, metric_name(name))}: {metrics[name].description}." for name in names)
     return " ".join(sentences).replace(" - ", f" {MINUS} ")
 
 

@@ -172,7 +172,7 @@ def _notes(condition: Condition, ranking: Standings) -> tuple[str, ...]:
         )
     notes.append("Preview: of the reference. Needs data: a recording, which the controller is handed.")
     if others := [name for name in _others(condition.headline) if condition.keys(name)]:
-        notes.append(meanings(others))
+        notes.append(meanings(others, condition.every_key))
     return (*notes, *((SHARE_NOTE,) if condition.points else ()))
 
 
