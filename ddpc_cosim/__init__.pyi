@@ -45,6 +45,7 @@ from .fmu.plant import FMUPlant as FMUPlant
 from .master import cosimulate as cosimulate, record as record
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
+from .plant_control import PlantControl as PlantControl
 from .plugins import study_folder as study_folder
 from .prices import Price as Price
 from .settings import (

@@ -180,6 +180,9 @@ class PlantDescription(Declarations):
         The parameters that can change during a run.
     default_inputs, default_outputs : tuple of str
         What takes part if a study names none; empty: all.
+    switches : mapping of str to str
+        For each input that the plant has a control of its own for, the input that is 1 where what is driven
+        acts and 0 where that control does: ``oveHeat_u`` -> ``oveHeat_activate``.
     display_units : mapping of str to tuple of DisplayUnit
         The display units that the plant defines for each unit.
     variables : mapping of str to DescribedVariable
@@ -206,6 +209,24 @@ class PlantDescription(Declarations):
     variable_step: bool = True
     fixed_step: float | None = None
     warnings: tuple[str, ...] = ()
+    switches: Mapping[str, str] = field(default_factory=dict)
+
+    def switched_by(self, given: Mapping[str, str]) -> Self:
+        """Return the description with other switches of inputs, by name; an empty one: it has none.
+
+        Switches do not take part if a study names no inputs; one that is none any more does, if it is real.
+        """
+        if not given:
+            return self
+        switches = {name: switch for name, switch in {**self.switches, **given}.items() if switch}
+        freed = {
+            signal.variable.name
+            for name in set(self.switches.values()).difference(switches.values())
+            if (signal := self.signal(name)) is not None and signal.source.values == "real"
+        }
+        before = {*(self.default_inputs or self.inputs), *freed}
+        inputs = tuple(name for name in self.inputs if name in before.difference(switches.values()))
+        return replace(self, switches=switches, default_inputs=inputs)
 
     def shown(
         self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
@@ -243,7 +264,7 @@ def describe(
         name: DescribedVariable(variable, causality=kinds[name][0], variability=kinds[name][1])
         for name, variable in {**given, **read, **driven}.items()
     }
-    return PlantDescription(
+    description = PlantDescription(
         driven,
         read,
         given,
@@ -251,6 +272,7 @@ def describe(
         variables=variables,
         default_experiment=experiment or DefaultExperiment(),
     )
+    return description.switched_by(switches_of(description))
 
 
 def element(
@@ -302,15 +324,92 @@ def elements_of(variable: DescribedVariable) -> str:
     return ", ".join(named) + (f" and {hidden} more" if hidden > 0 else "")
 
 
+_ACTUATOR, _SWITCH = "_u", "_activate"
+_SWITCHES = re.compile(r"activat|overrid|overwrit", re.IGNORECASE)
+
+
+def switches_of(description: Declarations) -> dict[str, str]:
+    """Return the inputs ``NAME_u`` that ``NAME_activate`` switches, each with that input, by name.
+
+    The former is a real number, the latter a boolean, or a number that is 0 or 1: by its limits, or as its
+    description speaks of an activation (BOPTEST's convention). A name alone makes no actuator.
+    """
+    inputs = {signal.variable.name: signal.source for signal in description.signals("input")}
+    pairs = {
+        name: name.removesuffix(_ACTUATOR) + _SWITCH
+        for name, source in inputs.items()
+        if name.endswith(_ACTUATOR) and source.values == "real"
+    }
+    return {name: switch for name, switch in pairs.items() if switch in inputs and _is_switch(inputs[switch])}
+
+
+def switch_faults(given: Mapping[str, str], inputs: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield names of inputs whose switches, said by name, are not possible, and why."""
+    known = set(inputs)
+    for name, switch in given.items():
+        if name not in known:
+            yield name, f'no input "{name}"; {did_you_mean(name, known)}'
+        elif switch and switch not in known:
+            yield name, f'an override without its switch: no input "{switch}"; {did_you_mean(switch, known)}'
+        elif switch and (switch == name or given.get(switch)):
+            yield name, f'"{switch}" is switched itself; needed: an input that is 0 or 1'
+
+
+def switches_in(
+    description: Declarations, label: str, driven: Sequence[Variable], given: Mapping[str, str] | None
+) -> dict[str, str]:
+    """Return the switches of a plant's inputs that are driven, but for those that are driven themselves.
+
+    Parameters
+    ----------
+    description : Declarations
+        The plant.
+    label : str
+        What it is called, for errors.
+    driven : sequence of Variable
+        The inputs that are driven.
+    given : mapping of str to str or None
+        What is said of some inputs in place of what the description says.
+
+    Raises
+    ------
+    ConfigError
+        There are no such inputs; all faults at once.
+    """
+    given = given or {}
+    known = [signal.variable.name for signal in description.signals("input")]
+    if faults := [f"{label}: switches: {name}: {fault}" for name, fault in switch_faults(given, known)]:
+        raise ConfigError(faults)
+    taken = {variable.name for variable in driven}
+    switches = {**switches_of(description), **given}
+    return {u: switch for u, switch in switches.items() if u in taken and switch and switch not in taken}
+
+
+def _is_switch(source: DescribedVariable) -> bool:
+    """Return whether an input is 0 or 1, by its type, its limits or its description."""
+    variable = source.variable
+    is_named = variable.min == -math.inf and variable.max == math.inf and variable.description
+    return (
+        source.values == "boolean"
+        or (variable.min, variable.max) == (0.0, 1.0)
+        or bool(is_named and _SWITCHES.search(variable.description))
+    )
+
+
 _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 
 
 def default_signals(description: Declarations, causality: str) -> list[PlantSignal]:
     """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are.
 
-    Other names of the same variable are left out.
+    Other names of the same variable are left out, and so are switches.
     """
-    numbers = [signal for signal in description.signals(causality) if not signal.source.alias_of]
+    switches = set(switches_of(description).values())
+    numbers = [
+        signal
+        for signal in description.signals(causality)
+        if not signal.source.alias_of and signal.variable.name not in switches
+    ]
     return [signal for signal in numbers if signal.source.values == "real"] or numbers
 
 

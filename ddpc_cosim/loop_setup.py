@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
-from ddpc_cosim.controller import Charge, Loop, Recording
+from ddpc_cosim.controller import Charge, Controller, Loop, Recording
 from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
-from ddpc_cosim.plant import Plant
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.prices import Price
 from ddpc_cosim.signals import (
     Band,
@@ -218,6 +219,14 @@ class LoopSetup:
             conditions = replace(conditions, inputs={**resting, **conditions.inputs})
         self._conditions, self._open_loop = conditions, open_loop
         self.inputs = tuple(v for v in plant.inputs if v.name not in conditions.inputs)
+        given = names(plant.inputs)
+        # In open loop, a switch is an input like others; so is one that has a signal of its own.
+        self._switches = {
+            name: switch
+            for name, switch in plant.switches.items()
+            if name in given and switch not in given and not open_loop
+        }
+        self._is_switched = np.array([v.name in self._switches for v in self.inputs], dtype=bool)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
         self._set_up_disturbances(forecast_horizon)
@@ -435,6 +444,32 @@ class LoopSetup:
         for what, signal in signals.items():
             if isinstance(signal, SignalFromFile) and (gap := signal.gap(first, last)):
                 yield f"{what}: {gap}"
+
+    @property
+    def has_switches(self) -> bool:
+        """Whether an input that is driven has one."""
+        return bool(self._is_switched.any())
+
+    def switched(self, controller: Controller) -> dict[str, ParameterValue]:
+        """Return the plant's switches under a controller, as parameters: 1 where an input is driven.
+
+        Raises
+        ------
+        ConfigError
+            The plant is to control itself, and no input that is driven has a switch.
+        """
+        left = set[str]()
+        if isinstance(controller, PlantControl):
+            left = {v.name for v in self.inputs if v.name in self._switches}
+            if not left:
+                what = f"no input that is driven ({', '.join(names(self.inputs))}) has a switch"
+                raise ConfigError(f"the plant has no control of its own: {what}")
+        driven = {switch for name, switch in self._switches.items() if name not in left}
+        return {switch: float(switch in driven) for switch in self._switches.values()}
+
+    def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
+        """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
+        return np.where(self._is_switched, np.nan, u) if isinstance(controller, PlantControl) else u
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""

@@ -39,6 +39,7 @@ from ddpc_cosim.loop_setup import (
 )
 from ddpc_cosim.outlook import Limit, Outlook, Wanted
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.prices import Price
 from ddpc_cosim.processes.fork_server import ONE_THREAD
 from ddpc_cosim.processes.rows import RowStore
@@ -242,11 +243,15 @@ def cosimulate(
         if stabiliser is not None:
             diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
     begin = start_time - warm_up_steps * sampling_time
+    warmer = warm_up_controller or (PlantControl() if setup.has_switches else _NoController(setup.rest))
+    switched = setup.switched(controller)
     if not continue_recording:
         plant.plan(sampling_time, end)
-        y_plant = reset_plant(plant, parameters, begin)
+        at_first = setup.switched(warmer) if warm_up_steps else switched
+        y_plant = reset_plant(plant, {**(parameters or {}), **at_first} or parameters, begin)
+    elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
+        set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
-    warmer = warm_up_controller or _NoController(setup.rest)
     later = max(horizon, horizon_of(warmer)) if setup.looks_ahead else 0
     first, samples = warm_up_steps, steps + 1
     whole = begin + np.arange(first + samples + later, dtype=np.float64) * sampling_time
@@ -255,6 +260,8 @@ def cosimulate(
         setup.start(whole, ahead=later)
         warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
         past, y_plant = warm.recording, warm.y_plant
+        if switched:
+            set_plant_parameters(plant, switched, start_time)
     time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
     wish, limits = setup.wish(wanted, visible), setup.limits(visible)
@@ -505,7 +512,7 @@ def _experiment(
     loop = setup.loop(STABILISER_STREAM, horizon, limits, is_band=wish.is_band)
     start_controller(exciting, loop)
     plant.plan(sampling_time, begin + samples * sampling_time + onwards)
-    y_plant = reset_plant(plant, parameters, begin)
+    y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
     setup.start(time[: samples + later], ahead=later, in_experiment=True)
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, loop.preview))
@@ -618,7 +625,7 @@ class _Rows:
         if setup.charges:
             store.more["charged"][k] = setup.charged(applied, measured.all_outputs)
         given = setup.actuators.changed(applied)
-        store.complete(k, held.u, held.status, held.seconds, given, held.info)
+        store.complete(k, setup.commanded(controller, held.u), held.status, held.seconds, given, held.info)
         return applied
 
     def recording(self) -> Recording:

@@ -522,7 +522,7 @@ METRICS: dict[str, _Any] = {
         Actuation,
         "Time in saturation",
         "time of samples with the input at a limit",
-        lambda a: float(np.count_nonzero(a.at_limit)) * a.sampling_time,
+        lambda a: float(np.where(np.isfinite(a.values), a.at_limit, np.nan).sum()) * a.sampling_time,
         "s",
         better="",
         shown=(),

@@ -40,6 +40,12 @@ class Plant(ABC):
 
     A plant that says so has :meth:`outputs_at` too: others take its outputs as ``step`` left them.
     """
+    switches: Mapping[str, str] = MappingProxyType({})
+    """For each input that it has a control of its own for, the input that switches that off.
+
+    Such a switch is not among ``inputs``. Where something drives the input it is 1, else 0: the master gives
+    it among the parameters of ``reset``, and of ``set_parameters`` where that changes during a run.
+    """
     is_sampled: bool = False
     """Whether it answers to its inputs as they are when a step begins, and holds its outputs over it."""
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
+from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
@@ -397,9 +398,8 @@ class SignalFromFile(_OfFile):
         begin, end, early = float(time[0]), float(time[-1]) + held, _RELATIVE_TIME_TOLERANCE * abs(last)
         if begin <= first + early and last <= end + early:
             return ""
-        return (
-            f"{self.file} tells it from t = {begin:g} s to {end:g} s; needed: from {first:g} s to {last:g} s"
-        )
+        known = f"{self.file} tells it from t = {in_words(begin)} to {in_words(end)}"
+        return f"{known}; needed: from {in_words(first)} to {in_words(last)}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -176,7 +176,11 @@ class Trace:
     @property
     def decided(self) -> int:
         """Number of rows with inputs: a controller that ends the run leaves one without."""
-        undecided = len(self) > 0 and not np.isfinite(self.u[-1]).all()
+        if len(self) == 0:
+            return 0
+        # What is left to the plant is not commanded from the first row on.
+        commanded = np.isfinite(self.u[0]) | (len(self) == 1)
+        undecided = not np.isfinite(self.u[-1][commanded]).all()
         return len(self) - undecided
 
     @property

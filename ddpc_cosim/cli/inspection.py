@@ -165,7 +165,7 @@ def _system_sections(inspection: SystemInspection) -> Iterator[_Section]:
     yield _Section("Parts", "part", ("name", "file", "fmi", "runs for", "values set"), parts)
     rows = [(c.source, c.target, _units(c), _scale(c.factor, c.offset)) for c in system.connections]
     yield _Section("Connections", "connection", ("from", "to", "unit", "more"), rows)
-    yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
+    yield _inputs(inspection)
     yield _Section("Outputs", "output", _HEADINGS, [_row(v) for v in inspection.outputs])
 
 
@@ -238,7 +238,7 @@ def _sections(inspection: Inspected) -> Iterator[_Section]:
         yield from _system_sections(inspection)
         return
     feedthrough = inspection.feedthrough
-    yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
+    yield _inputs(inspection)
     outputs = [_row(v, _on_feedthrough(feedthrough, v.name)) for v in inspection.outputs]
     yield _Section("Outputs", "output", _HEADINGS, outputs)
     parameters = [_row(p.variable, _on_parameter(p), p.start_text) for p in inspection.parameters]
@@ -246,6 +246,14 @@ def _sections(inspection: Inspected) -> Iterator[_Section]:
     yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
     rows = [_clock_row(clock, ticks=ticks) for clock, ticks in inspection.clocks.items()]
     yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
+
+
+def _inputs(inspection: Inspected) -> _Section:
+    switches = inspection.switches
+    more = {name: f"switched on by {switch}" for name, switch in switches.items()}
+    more |= {switch: f"switches {name} on" for name, switch in switches.items()}
+    rows = [_row(variable, more.get(variable.name, "")) for variable in inspection.inputs]
+    return _Section("Inputs", "input", _HEADINGS, rows)
 
 
 def _clock_row(clock: Clock, *, ticks: bool) -> Cells:

@@ -12,7 +12,7 @@ from ddpc_cosim.coupling.wiring import Connection, Wiring
 from ddpc_cosim.description import DefaultExperiment, DescribedVariable, PlantDescription
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.variables import Variable, with_start
+from ddpc_cosim.variables import Variable, names, with_start
 
 Exchanged = tuple[tuple[str, ...], tuple[str, ...]]
 """The inputs of a part that connections feed, and its outputs that they start from."""
@@ -134,6 +134,9 @@ class CoupledSpec:
             )
 
         usual_inputs = usual(inputs, lambda described: described.default_inputs or described.inputs)
+        of_parts = {name: described.switches for name, described in known.items()}
+        switches = switches_of_parts(of_parts, _signals(known), wiring)
+        usual_inputs = tuple(name for name in usual_inputs if name not in switches.values())
         usual_outputs = usual(outputs, lambda described: described.default_outputs or described.outputs)
         connectors = {
             name: DescribedVariable(variable, causality=causality, start_text=repr(variable.start))
@@ -154,6 +157,7 @@ class CoupledSpec:
             variable_step=all(part.variable_step for part in known.values()),
             fixed_step=max((part.fixed_step for part in known.values() if part.fixed_step), default=None),
             warnings=self.warnings,
+            switches=switches,
         )
 
     def _declared(
@@ -199,11 +203,7 @@ class CoupledSpec:
         return descriptions
 
     def _wiring(self, known: Mapping[str, PlantDescription], outputs: Sequence[str] | None = None) -> Wiring:
-        signals = {
-            name: PartSignals(tuple(described.inputs.values()), tuple(described.outputs.values()))
-            for name, described in known.items()
-        }
-        return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
+        return Wiring(_signals(known), self.connections, outputs=outputs, connectors=self.connectors)
 
     def _exchanged(
         self, known: Mapping[str, PlantDescription], outputs: Sequence[str]
@@ -295,6 +295,36 @@ class CoupledSpec:
             for plant in parts.values():
                 plant.close()
             raise
+
+
+def _signals(known: Mapping[str, PlantDescription]) -> dict[str, PartSignals]:
+    return {
+        name: PartSignals(tuple(described.inputs.values()), tuple(described.outputs.values()))
+        for name, described in known.items()
+    }
+
+
+def switches_of_parts(
+    switches: Mapping[str, Mapping[str, str]], parts: Mapping[str, PartSignals], wiring: Wiring
+) -> dict[str, str]:
+    """Return the switches of parts' inputs, where both are inputs of the whole, by their names there.
+
+    Parameters
+    ----------
+    switches : mapping of str to mapping of str to str
+        By part, the switches of its inputs.
+    parts : mapping of str to PartSignals
+        The parts.
+    wiring : Wiring
+        How they are connected.
+    """
+    whole, of_whole = {v.name for v in wiring.inputs}, dict[str, str]()
+    for part, of_part in switches.items():
+        sources = (wiring.values[place] for place in wiring.input_maps[part].sources)
+        fed_by = dict(zip(names(parts[part].inputs), sources, strict=True))
+        pairs = ((fed_by[name], fed_by[switch]) for name, switch in of_part.items())
+        of_whole |= {name: switch for name, switch in pairs if {name, switch} <= whole}
+    return of_whole
 
 
 def _within(part: str, signals: Iterable[str]) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ddpc_cosim.description import switches_in
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
@@ -48,6 +49,10 @@ class FMUPlant(Plant):
         quantity (``"deg"`` for ``"rad"``, ``"degC"`` for ``"K"``, ...); default: as the FMU says.
     start : mapping of str to float, optional
         Values of inputs at the start and at rest, driven or not; default: the FMU's own.
+    switches : mapping of str to str, optional
+        For inputs that the FMU has a control of its own for, the input that switches it off, which is 1 while
+        something drives them in a closed loop; empty: none. Default: ``NAME_activate`` for ``NAME_u``, where
+        types and descriptions say so.
     isolated : bool
         Whether the FMU lives in a process of its own: then a crash, or a call that never returns, ends the
         run and not the caller.
@@ -100,6 +105,7 @@ class FMUPlant(Plant):
         fmi_type: FMIType = "auto",
         display_units: Mapping[str, str] | None = None,
         start: Mapping[str, float] | None = None,
+        switches: Mapping[str, str] | None = None,
         isolated: bool = False,
         step_timeout: float = 60.0,
         memory_limit: float | None = None,
@@ -146,6 +152,7 @@ class FMUPlant(Plant):
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
             self.is_sampled = is_sampled(self._fmu.inputs)
+            self.switches = switches_in(self.description, self.path.name, self.inputs, switches)
             self._warnings = self._fmu.warnings
             for warning in self._warnings:  # where warnings are errors, they end it here
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)

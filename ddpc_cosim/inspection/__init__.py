@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ddpc_cosim.description import DescribedVariable
+from ddpc_cosim.description import DescribedVariable, switches_of
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, is_sampled
@@ -102,6 +102,11 @@ class Inspection:
     def is_sampled(self) -> bool:
         """Whether it is a sampled block, such as an exported controller."""
         return is_sampled([*self.declared.signals("input")])
+
+    @property
+    def switches(self) -> dict[str, str]:
+        """For each input that overrides a control of its own, the input that switches the override on."""
+        return switches_of(self.declared)
 
     @property
     def feedthrough(self) -> dict[str, tuple[str, ...] | None]:
@@ -205,7 +210,7 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
         "has_sources": inspection.binaries.has_sources,
         "model": _model(description) if description else None,
         "interfaces": {interface.kind: _interface(interface) for interface in inspection.interfaces},
-        "inputs": variables_as_data(inspection.inputs),
+        "inputs": inputs_as_data(inspection.inputs, inspection.switches),
         "outputs": variables_as_data(inspection.outputs),
         "parameters": [_parameter(variable) for variable in inspection.parameters],
         "states": variables_as_data(inspection.states),
@@ -263,6 +268,11 @@ def _interface(interface: Any) -> Mapping[str, Any]:
 def variables_as_data(variables: Iterable[Variable]) -> list[dict[str, Any]]:
     """Return variables in plain values."""
     return [_variable(variable) for variable in variables]
+
+
+def inputs_as_data(variables: Iterable[Variable], switches: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return inputs in plain values, each with the input that switches it."""
+    return [{**_variable(variable), "switch": switches.get(variable.name)} for variable in variables]
 
 
 def _variable(variable: Variable) -> dict[str, Any]:

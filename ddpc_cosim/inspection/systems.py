@@ -7,13 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.coupling.graph import Graph
-from ddpc_cosim.coupling.specification import PartSignals
+from ddpc_cosim.coupling.specification import PartSignals, switches_of_parts
 from ddpc_cosim.coupling.ssp import SSPSystem, read_ssp
 from ddpc_cosim.coupling.wiring import Wiring
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
-from ddpc_cosim.inspection import FORMAT, Inspection, defects_as_data, inspect_fmu, variables_as_data
+from ddpc_cosim.inspection import (
+    FORMAT,
+    Inspection,
+    defects_as_data,
+    inputs_as_data,
+    inspect_fmu,
+    variables_as_data,
+)
 from ddpc_cosim.inspection.checks import NO_INPUTS, NO_OUTPUTS
 from ddpc_cosim.variables import Variable
 
@@ -39,6 +46,8 @@ class SystemInspection:
         Its FMUs, by part.
     inputs, outputs : tuple of Variable
         Signals of the whole: its own connectors, else the inputs that nothing feeds, and all outputs.
+    switches : mapping of str to str
+        For inputs of the whole that override a control of a part, the input that switches the override on.
     order : tuple of str
         The parts in the order in which they are stepped.
     loops : tuple of tuple of str
@@ -54,6 +63,7 @@ class SystemInspection:
     parts: Mapping[str, Inspection]
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
+    switches: Mapping[str, str]
     order: tuple[str, ...]
     loops: tuple[tuple[str, ...], ...]
     defects: tuple[Defect, ...]
@@ -71,17 +81,19 @@ def inspect_ssp(path: Path) -> SystemInspection:
     parts: dict[str, Inspection] = {}
     inputs: tuple[Variable, ...] = ()
     outputs, order, loops = inputs, tuple[str, ...](), tuple[tuple[str, ...], ...]()
+    switches: Mapping[str, str] = {}
     try:
         system = read_ssp(path)
         for warning in system.warnings:
             findings.add(UNDERSTOOD, warning)
         parts = _inspected(system, findings)
-        wiring, graph = _structure(system, parts)
+        signals, wiring, graph = _structure(system, parts)
         inputs, outputs, order, loops = wiring.inputs, wiring.outputs, graph.order, graph.loops
         own_inputs, own_outputs = (
             tuple(v for v in group if "." not in v.name) for group in (inputs, outputs)
         )
         inputs, outputs = own_inputs or inputs, own_outputs or outputs
+        switches = switches_of_parts({name: part.switches for name, part in parts.items()}, signals, wiring)
         if not inputs:
             findings.add(NO_INPUTS)
         if not outputs:
@@ -91,7 +103,7 @@ def inspect_ssp(path: Path) -> SystemInspection:
             findings.add(INVALID_SYSTEM, fault)
     digest = hashlib.sha256(content).hexdigest()
     return SystemInspection(
-        path, len(content), digest, system, parts, inputs, outputs, order, loops, findings.defects()
+        path, len(content), digest, system, parts, inputs, outputs, switches, order, loops, findings.defects()
     )
 
 
@@ -109,12 +121,14 @@ def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
     return known
 
 
-def _structure(system: SSPSystem, parts: Mapping[str, Inspection]) -> tuple[Wiring, Graph]:
+def _structure(
+    system: SSPSystem, parts: Mapping[str, Inspection]
+) -> tuple[dict[str, PartSignals], Wiring, Graph]:
     used = {end for connection in system.connections for end in (connection.source, connection.target)}
     signals = {name: _signals(name, p.description, used) for name, p in parts.items() if p.description}
     connections = [connection.connection for connection in system.connections]
     wiring = Wiring(signals, connections, connectors=(*system.inputs, *system.outputs))
-    return wiring, Graph(signals, wiring)
+    return signals, wiring, Graph(signals, wiring)
 
 
 def _signals(part: str, description: FMUDescription, used: set[str]) -> PartSignals:
@@ -170,7 +184,7 @@ def as_data(inspection: SystemInspection) -> dict[str, Any]:
             }
             for connection in (system.connections if system else ())
         ],
-        "inputs": variables_as_data(inspection.inputs),
+        "inputs": inputs_as_data(inspection.inputs, inspection.switches),
         "outputs": variables_as_data(inspection.outputs),
         "order": list(inspection.order),
         "algebraic_loops": [list(loop) for loop in inspection.loops],

@@ -15,7 +15,7 @@ import numpy as np
 
 from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
-from ddpc_cosim.controller import Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.controller import Controller, Loop, Recording, Sample
 from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.errors import (
     ConfigError,
@@ -28,6 +28,7 @@ from ddpc_cosim.errors import (
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.outlook import Limit, Limits, table_widths
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
 from ddpc_cosim.prices import Price
@@ -69,11 +70,11 @@ _WHERE_SAID = (
     "warm_up_controller",
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
-Limits = dict[str, tuple[float | Reference, float | Reference]]
+Bounded = dict[str, tuple[Limit, Limit]]
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
-_RESTING = "idle"
-"""The controller, by entry point, that leaves the inputs at rest."""
+_RESTING, _PLANT_CONTROL = "idle", "plant"
+"""The controllers, by entry point, that leave the inputs at rest, and to the plant's own control."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
@@ -172,7 +173,7 @@ class Case:
     start_time: float
     continue_recording: bool
     reference: dict[str, Reference | Band]
-    bounds: Limits
+    bounds: Bounded
     excitation: Excitation | None
     recording: Recording | None
     stabiliser: dict[str, Any] | None
@@ -189,7 +190,7 @@ class Case:
     late: str = ""
     id: str = ""
     sandbox: str = ""
-    shared_bounds: Limits = field(default_factory=dict)
+    shared_bounds: Bounded = field(default_factory=dict)
     problem: str = ""
     storage: str = "csv"
     disturbances: dict[str, KnownDisturbance] = field(default_factory=dict)
@@ -216,6 +217,11 @@ class Case:
     def changed_inputs(self) -> tuple[Variable, ...]:
         """The inputs that the plant may be given otherwise than a controller commands them."""
         return changed_inputs(self.conditions, (*self.inputs, *self.undriven))
+
+    def variable(self, name: str) -> Variable:
+        """Return a signal that takes part, by its name."""
+        every = (*self.inputs, *self.undriven, *self.outputs, *self.measurements, *self.read)
+        return next(variable for variable in every if variable.name == name)
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
@@ -299,7 +305,10 @@ def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def doing_nothing(cases: Iterable[Case]) -> list[Case]:
-    """Return the runs with inputs at rest that cases are judged by: one per problem, scenario and seed."""
+    """Return the runs that cases are judged by: one per problem, scenario and seed.
+
+    Inputs are at rest, and the plant's own control acts where it has one.
+    """
     groups: dict[tuple[str, str], dict[int, Case]] = {}
     for case in cases:
         if case.section["type"]:
@@ -310,7 +319,12 @@ def doing_nothing(cases: Iterable[Case]) -> list[Case]:
 def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     """Yield the runs of one scenario with inputs at rest, by seed."""
     first = next(iter(driven.values()))
-    section = {"type": _RESTING, "settings": {}}
+    signals = names(first.undriven)
+    is_controlled = any(
+        name in first.plant.switches and first.plant.switches[name] not in signals
+        for name in names(first.inputs)
+    )
+    section = {"type": _PLANT_CONTROL if is_controlled else _RESTING, "settings": {}}
     case = replace(
         first,
         controller=DOING_NOTHING,
@@ -559,16 +573,18 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
 
 
 def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:
-    wanted: Any = {"reference": case.reference, "bounds": case.bounds}
+    warm_up = case.warm_up_controller
+    warm_up_controller = None if warm_up is None else _controller(warm_up, case.plant)
     return cosimulate(
         plant,
         controller,
         sampling_time=case.sampling_time,
         duration=case.duration,
-        **wanted,
+        reference=case.reference,
         excitation=case.excitation and case.excitation.with_seed(case.seed),
         recording=case.recording,
         stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
+        bounds=case.bounds,
         outputs=names(case.outputs),
         measurements=names(case.measurements),
         parameters=case.parameters,
@@ -579,6 +595,13 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         seed=case.seed,
         start_time=case.start_time,
         continue_recording=case.continue_recording,
+        disturbances=case.disturbances,
+        recorded_disturbances=case.recorded_disturbances,
+        recording_start=case.recording_start,
+        forecast_horizon=case.forecast_horizon,
+        prices=case.prices,
+        warm_up=case.warm_up,
+        warm_up_controller=warm_up_controller,
         store=store,
     )
 
@@ -601,9 +624,19 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | No
 
 def row_store(case: Case, path: Path | None = None, *, follow: bool = False) -> RowStore:
     """Return the store for a case's rows, in a file, perhaps of another process, or in memory."""
-    columns = len(case.outputs), len(case.measurements), len(case.inputs)
-    changed = len(case.changed_inputs)
-    return RowStore(_planned_samples(case), *columns, path, changed_inputs=changed, follow=follow)
+    return _store(case, _planned_samples(case), path, follow=follow)
+
+
+def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool = False) -> RowStore:
+    sizes = len(case.inputs), len(case.outputs)
+    return RowStore(
+        samples,
+        *(len(case.outputs), len(case.measurements), len(case.inputs)),
+        path,
+        changed_inputs=len(case.changed_inputs),
+        more=table_widths(case.disturbances, case.reference, case.bounds, case.prices, *sizes),
+        follow=follow,
+    )
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
@@ -618,39 +651,28 @@ def _planned_samples(case: Case) -> int:
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
     """Return the trace of a case that failed before its first sample."""
-    u_limits, y_limits = (
-        np.array([_outermost(case, v.name) for v in variables]).reshape(-1, 2)
-        for variables in (case.inputs, case.outputs)
-    )
+    time = case.start_time + np.arange(_planned_samples(case), dtype=np.float64) * case.sampling_time
+    limits = Limits.over((*case.inputs, *case.outputs), len(case.inputs), case.bounds, time)
     return Trace(
         time=np.empty(0),
-        reference=np.empty((0, len(case.outputs))),
-        y=np.empty((0, len(case.outputs))),
-        measured=np.empty((0, len(case.measurements))),
-        u=np.empty((0, len(case.inputs))),
-        status=(),
-        solve_time=np.empty(0),
+        **_store(case, 1).written(),
         inputs=case.inputs,
         outputs=case.outputs,
         measurements=case.measurements,
-        bounds=Bounds(u_limits[:, 0], u_limits[:, 1], y_limits[:, 0], y_limits[:, 1]),
+        bounds=limits.bounds,
         sampling_time=case.sampling_time,
         planned_samples=_planned_samples(case),
         outcome=outcome,
         reason=reason,
         settings=dict(case.section["settings"]),
         changed_inputs=case.changed_inputs,
-        applied=np.empty((0, len(case.changed_inputs))),
+        disturbances=tuple(
+            case.variable(name) for name, disturbance in case.disturbances.items() if disturbance.is_known
+        ),
+        bands=tuple(v.name for v in case.outputs if isinstance(case.reference[v.name], Band)),
+        moving_limits=limits.moving,
+        charges=tuple(price.charge(name, case.variable(price.signal)) for name, price in case.prices.items()),
     )
-
-
-def _outermost(case: Case, name: str) -> tuple[float, float]:
-    """Return the limits of a signal, of one that moves the outermost."""
-    time = case.start_time + np.arange(_planned_samples(case), dtype=np.float64) * case.sampling_time
-    low, high = (
-        limit.at(time) if isinstance(limit, Reference) else np.array([limit]) for limit in case.bounds[name]
-    )
-    return float(low.min()), float(high.max())
 
 
 def _outcome_of(case: Case, error: CosimError) -> Outcome:

@@ -3,18 +3,17 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from ddpc_cosim.codec import independent
-from ddpc_cosim.disturbances import KnownDisturbance
+from ddpc_cosim.codec import InvalidFieldError, independent
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
 from ddpc_cosim.durations import in_words
-from ddpc_cosim.errors import Place
-from ddpc_cosim.signals import Constant, Reference, SignalFromFile, Steps, WhiteNoise
+from ddpc_cosim.errors import ConfigError, DataError, Place
+from ddpc_cosim.signals import Constant, Reference, SignalFromFile, WhiteNoise
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 
 _DISTURBANCES: Place = ("disturbances",)
 _RECORDED: Place = ("recording", "disturbances")
-_FORECAST_BY_SIGNAL = ("low", "medium", "high", "perfect")
-_TIMES = 1e-9  # what rounding leaves of a time, in parts of the sampling time
+_ROUNDED = 1e-6  # in parts of the sampling time
 
 
 class Disturbances:
@@ -103,7 +102,7 @@ class Disturbances:
                 self.errors.add((*_DISTURBANCES, name), what, (*_DISTURBANCES, name, "signal"))
             for key in self.study.scenarios if given.signal is None and name not in self.of_inputs else ():
                 known = self.of(key)[name]
-                if known.forecast is None and known.known in _FORECAST_BY_SIGNAL:
+                if known.is_foretold:
                     what = f'needs a signal, of which forecasts with known = "{known.known}" are made'
                     self.errors.add((*_DISTURBANCES, name), what, (*_DISTURBANCES, name, "signal"))
 
@@ -123,39 +122,48 @@ class Disturbances:
         signals = {name: signal for name, signal in self.signals.items() if name in self.of_inputs}
         return signals | {name: s for name, s in scenario_inputs.items() if name in self.of_inputs}
 
-    def _said(self) -> Iterator[tuple[Place, object, Variable, str]]:
-        """Yield each signal that is said: where, what, its variable, and when it acts."""
-        for name, variable in self.variables.items():
-            signal = self._sections[name].signal
-            in_experiment = name in self.of_inputs and name not in (self.recorded or {})
-            yield (*_DISTURBANCES, name, "signal"), signal, variable, "both" if in_experiment else "run"
+    def _said(self) -> Iterator[tuple[Place, Reference | None, str]]:
+        """Yield each signal that is said: where, what, and in what it acts."""
+        recorded = {} if self.study.recording is None else self.study.recording.disturbances
+        for name in self.variables:
+            acts_in = "both" if name in self.of_inputs and name not in recorded else "run"
+            yield (*_DISTURBANCES, name, "signal"), self._sections[name].signal, acts_in
             for scenario, section in self.study.scenarios.items():
-                place = ("scenarios", scenario, "inputs", name)
-                yield place, section.inputs.get(name), variable, "both" if in_experiment else "run"
-            if self.study.recording is not None:
-                recorded = self.study.recording.disturbances.get(name)
-                yield (*_RECORDED, name), recorded, variable, "experiment"
+                yield ("scenarios", scenario, "inputs", name), section.inputs.get(name), acts_in
+            yield (*_RECORDED, name), recorded.get(name), "experiment"
 
     @independent
     def _check_reach(self) -> None:
         """Report files that end before the run and its forecasts do, or begin after the experiment."""
-        for place, signal, variable, when in self._said():
-            if isinstance(signal, SignalFromFile):
-                built = self._selected.level(place, signal, variable)
-                if built is not None:
-                    self._check_covered(place, built, when)
+        loop = self.study.loop
+        begin, end = loop.start_time - loop.warm_up, loop.end + self._horizon * loop.sampling_time
+        experiment = self._experiment()
+        for place, signal, acts_in in self._said():
+            first, last = begin, end
+            if experiment is not None and acts_in == "experiment":
+                first, last = experiment[0], experiment[1] - loop.sampling_time
+            elif experiment is not None and acts_in == "both":
+                first = min(begin, experiment[0])
+            check_reach(self._selected, place, signal, first, last)
+        for name, variable in self.variables.items():
+            self._check_forecast(name, variable)
 
     @independent
-    def _check_covered(self, place: Place, signal: Reference, when: str) -> None:
-        """Report a signal of a file that does not cover what it is for."""
-        loop, experiment = self.study.loop, self._experiment()
-        begin, end = loop.start_time - loop.warm_up, loop.end + self._horizon * loop.sampling_time
-        words = "the run and the longest horizon"
-        if experiment is not None and when != "run":
-            words = "the experiment" if when == "experiment" else f"the experiment, {words}"
-            begin = min(begin, experiment[0]) if when == "both" else experiment[0]
-            end = end if when == "both" else experiment[1] - loop.sampling_time
-        check_covers(self._selected, place, signal, (begin, end), words)
+    def _check_forecast(self, name: str, variable: Variable) -> None:
+        """Report what is wrong with a file of forecasts, or where it ends too early."""
+        forecast, loop = self._sections[name].forecast, self.study.loop
+        if forecast is None:
+            return
+        place = (*_DISTURBANCES, name, "forecast")
+        times = RunTimes(loop.start_time, loop.sampling_time, loop.steps + 1)
+        try:
+            forecast.read(variable, times, self._horizon)
+        except DataError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "file"), fault, ("loop",))
+        except ConfigError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "unit"), fault)
 
     def _experiment(self) -> tuple[float, float] | None:
         """Return when the experiments of all scenarios begin and end [s]; None without one."""
@@ -177,34 +185,35 @@ class Disturbances:
         if experiment is None:
             return
         begin, end = experiment
-        rounding = _TIMES * loop.sampling_time
-        if end <= loop.start_time + rounding or begin > loop.end + rounding:
+        if min(end, loop.end) - max(begin, loop.start_time) <= _ROUNDED * loop.sampling_time:
             return
-        place, recorded = ("recording", "start_time"), self.recorded or {}
         times = f"{in_words(begin)} to {in_words(end)}"
         run = f"{in_words(loop.start_time)} to {in_words(loop.end)}"
+        recorded = self.recorded or {}
+        said = {scenario: section.inputs for scenario, section in self.study.scenarios.items()}
         for name in self.of_inputs:
-            signal = self.signals.get(name)
-            in_experiment = recorded.get(name, signal)
-            is_same = signal is not None and in_experiment == signal
-            if is_same and not isinstance(signal, Constant | WhiteNoise):
+            own = self.signals.get(name)
+            signals = [inputs.get(name, own) for inputs in said.values()]
+            is_same = any(signal == recorded.get(name, signal) and _is_telling(signal) for signal in signals)
+            if is_same:
                 remedy = f"begin it at {in_words(loop.start_time - (end - begin))} or before, or give "
                 remedy += f"recording.disturbances.{name}"
                 what = f"the experiment, {times}, would show the {name} of the run, {run}; {remedy}"
-                self.errors.add(place, what, ("loop", "start_time"))
+                self.errors.add(("recording", "start_time"), what, ("loop", "start_time"))
 
 
-def check_covers(
-    selected: SelectedSignals, place: Place, signal: Reference, needed: tuple[float, float], words: str
-) -> None:
-    """Report a signal from a file, built, whose rows do not reach from one time to another [s]."""
-    loop = selected.study.loop
-    if not isinstance(signal, Steps):
+def _is_telling(signal: Reference | None) -> bool:
+    """Whether a signal in the experiment tells what it is in the run: it is neither random nor constant."""
+    return signal is not None and not isinstance(signal, Constant | WhiteNoise)
+
+
+def check_reach(selected: SelectedSignals, place: Place, signal: object, first: float, last: float) -> None:
+    """Report a signal from a file that does not tell it from one time to another [s]."""
+    if not isinstance(signal, SignalFromFile) or (*place, "file") in selected.errors.found:
         return
-    first, last = float(signal.times[0]), float(signal.times[-1])
-    begin, end = needed
-    rounding = _TIMES * loop.sampling_time
-    if first > begin + rounding or last < end - rounding:
-        rows = f"its rows are from {in_words(first)} to {in_words(last)}"
-        times = f"{in_words(begin)} to {in_words(end)}"
-        selected.errors.add((*place, "file"), f"{rows}; needed: {times}, {words}", ("loop", "start_time"))
+    try:
+        gap = signal.gap(first, last)
+    except (InvalidFieldError, DataError):  # reported where it is read
+        return
+    if gap:
+        selected.errors.add((*place, "file"), gap, ("loop",))

@@ -17,6 +17,7 @@ from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
 from ddpc_cosim.durations import seconds_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
+from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.prices import Price
@@ -44,7 +45,6 @@ from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 
-Limit = float | Reference
 Bounds = Mapping[str, tuple[Limit, Limit] | Mapping[str, Limit | str]]
 """Limits by signal: both, or a table of ``min``, ``max`` and ``unit``; one left out is the plant's own."""
 
@@ -235,6 +235,9 @@ class Problem:
         each, and ``percent`` of the best figure or of the task. Default: 1 %.
     start, nominal, display_units : mapping of str to float, float, str
         Start values of inputs, sizes that controllers scale by, and units to show, in place of the plant's.
+    switches : mapping of str to str
+        For inputs that override the plant's own control, the input that switches the override on; an empty
+        one: none. Default: ``NAME_activate`` of ``NAME_u``, where the plant's description says so.
     fmi_type : str
         How an FMU is run.
     isolated : bool or "auto"
@@ -294,6 +297,7 @@ class Problem:
     ranking: Literal["error", "money", "pareto"] | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    switches: Mapping[str, str] = field(default_factory=dict)
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
     isolated: Literal["auto", True, False] = "auto"

@@ -68,6 +68,8 @@ class PlantSpec:
         until :meth:`built`.
     trace_calls : str
         File that every FMI call is written to; empty: none.
+    switches : mapping of str to str
+        For inputs, the input that is 1 while something drives them, and 0 while the plant's own control does.
     coupled : CoupledSpec or None
         What a coupled plant consists of, which has no name and is not an FMU.
     isolation : mapping of str to object
@@ -84,6 +86,7 @@ class PlantSpec:
     start: Mapping[str, float] = field(default_factory=dict)
     content: str = ""
     trace_calls: str = ""
+    switches: Mapping[str, str] = field(default_factory=dict)
     coupled: CoupledSpec | None = None
     isolation: Mapping[str, Any] = field(default_factory=dict)
 
@@ -250,11 +253,12 @@ class PlantSpec:
             warnings.warn(f"{Path(self.fmu).name}: {text}", CosimWarning, stacklevel=3)
 
     def _shown(self) -> str:
-        """Return what the study says of units, nominal and start values, which decide metrics too."""
+        """Return what the study says of units, nominal and start values, and switches: they decide too."""
         units = [f" {name}[{unit}]" for name, unit in sorted(self.display_units.items())]
         nominal = [f" {name}~{value!r}" for name, value in sorted(self.nominal.items())]
         start = [f" {name}={value!r}" for name, value in sorted(self.start.items())]
-        return "".join(units + nominal + start)
+        switches = [f" {name}|{switch}" for name, switch in sorted(self.switches.items())]
+        return "".join(units + nominal + start + switches)
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
@@ -268,6 +272,9 @@ class PlantSpec:
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = with_nominal(plant.inputs, self.nominal)
         plant.outputs = with_nominal(plant.outputs, self.nominal)
+        plant.switches = {
+            name: switch for name, switch in self.switches.items() if name in inputs and switch not in inputs
+        }
         return plant
 
     def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
@@ -423,8 +430,10 @@ class PythonPlant(Plant):
     ) -> None:
         self._plant = make_plant(make)
         every = with_start(self._plant.inputs, start or {})
-        self._driven = [names(every).index(name) for name in inputs]
-        self._u = np.array([variable.start for variable in every], dtype=np.float64)
+        self._names = names(every)
+        self._driven = [self._names.index(name) for name in inputs]
+        self._at_rest = np.array([variable.start for variable in every], dtype=np.float64)
+        self._u = self._at_rest
         self.inputs = tuple(every[index] for index in self._driven)
         self.outputs = tuple(self._plant.outputs)
         self.dependencies = {
@@ -448,7 +457,15 @@ class PythonPlant(Plant):
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Go to the initial state and return the outputs there, shape (p,)."""
         self._t0, self._steps = t0, 0
-        return reset_plant(self._plant, parameters, t0)
+        self._u = self._at_rest.copy()
+        return reset_plant(self._plant, self._at_inputs(parameters or {}), t0)
+
+    def _at_inputs(self, values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+        """Take the values of inputs that are not driven, and return the others."""
+        resting = {name: i for i, name in enumerate(self._names) if i not in self._driven}
+        for name in resting.keys() & values.keys():
+            self._u[resting[name]] = float(values[name])
+        return {name: value for name, value in values.items() if name not in resting}
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the driven inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -485,8 +502,9 @@ class PythonPlant(Plant):
         self._plant.restore_state(saved)
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
-        """Change tunable parameters from the next step on."""
-        set_plant_parameters(self._plant, parameters, self._time)
+        """Change tunable parameters, and inputs that are not driven, from the next step on."""
+        if parameters := self._at_inputs(parameters):
+            set_plant_parameters(self._plant, parameters, self._time)
 
     def close(self) -> None:
         """Release everything that the plant holds."""

@@ -5,8 +5,8 @@ from dataclasses import replace
 from ddpc_cosim.codec import independent
 from ddpc_cosim.errors import ConfigError, Place
 from ddpc_cosim.prices import Price
-from ddpc_cosim.signals import Reference, SignalFromFile
-from ddpc_cosim.study.disturbances import check_covers
+from ddpc_cosim.signals import Reference
+from ddpc_cosim.study.disturbances import check_reach
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 from fmu_plants.spelling import did_you_mean
@@ -34,8 +34,8 @@ class Prices:
             signals,
             horizon,
         )
-        inputs, outputs = signals.variables.inputs, signals.variables.outputs
-        self._known = {**outputs, **inputs}
+        measured = (*signals.outputs.variables, *signals.measurements.variables)
+        self._known = {v.name: v for v in (*signals.variables.inputs.values(), *measured)}
         self._money = dict[str, str]()
         self.of_study = dict[str, Price]()
         for name, section in self.study.prices.items():
@@ -51,18 +51,14 @@ class Prices:
             for name, price in self.of_study.items()
         }
 
-    @property
-    def signals(self) -> tuple[Variable, ...]:
-        """The signals that are paid for."""
-        named = dict.fromkeys(price.signal for price in self.of_study.values())
-        return tuple(self._known[name] for name in named)
-
     @independent
     def _resolved(self, name: str, section: Price) -> Price | None:
         place = (*_PRICES, name)
         if section.signal not in self._known:
-            what = f'"{section.signal}" is not measured: it is neither an input nor an output of the plant'
-            self.errors.add((*place, "signal"), f"{what}; {did_you_mean(section.signal, self._known)}")
+            what = f'"{section.signal}" is not measured; needed: an input, or one of plant.measurements'
+            in_doubt = (("plant", "outputs"), ("plant", "measurements"))
+            hint = did_you_mean(section.signal, self._known)
+            self.errors.add((*place, "signal"), f"{what}; {hint}", *in_doubt)
             return None
         try:
             section.charge(name, self._known[section.signal])
@@ -71,24 +67,23 @@ class Prices:
                 self.errors.add((*place, "unit"), fault)
             return None
         self._check_money(name, section)
-        amount = section.unit.partition("/")[2].strip()
         price = self._level((*place, "price"), section.price, Variable(name, section.unit), "")
         emissions: Reference | float | None = section.emissions
-        unit = section.emissions_unit
+        of_emissions = Variable(name, f"{_MASS}/{section.amount}")
         if emissions != 0.0:
-            variable = Variable(name, f"{_MASS}/{amount}")
-            emissions = self._level((*place, "emissions"), section.emissions, variable, unit)
-            unit = variable.unit
+            at, unit = (*place, "emissions"), section.emissions_unit
+            emissions = self._level(at, section.emissions, of_emissions, unit)
         if price is None or emissions is None:
             return None
-        return replace(section, price=price, emissions=emissions, emissions_unit=unit)
+        return replace(section, price=price, emissions=emissions, emissions_unit=of_emissions.unit)
 
     def _check_money(self, name: str, section: Price) -> None:
         """Report a price in another money than those before it."""
-        other = next((known for known, money in self._money.items() if money != section.money), None)
-        self._money[name] = section.money
+        money = section.unit.partition("/")[0].strip()
+        other = next((known for known, its_money in self._money.items() if its_money != money), None)
+        self._money[name] = money
         if other is not None:
-            what = f"is in {section.money}, and {other} in {self._money[other]}"
+            what = f"is in {money}, and {other} in {self._money[other]}"
             needed = "one money for all prices of a problem, which are added up"
             self.errors.add((*_PRICES, name, "unit"), f"{what}; needed: {needed}")
 
@@ -113,8 +108,7 @@ class Prices:
         signal = self._selected.level(place, level, variable, unit, of_unit)
         if signal is None:
             return None
-        if isinstance(level, SignalFromFile):
-            loop = self.study.loop
-            begin, end = loop.start_time - loop.warm_up, loop.end + self._horizon * loop.sampling_time
-            check_covers(self._selected, place, signal, (begin, end), "the run and the longest horizon")
+        loop = self.study.loop
+        end = loop.end + self._horizon * loop.sampling_time
+        check_reach(self._selected, place, level, loop.start_time - loop.warm_up, end)
         return signal

@@ -1,6 +1,6 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,13 +12,16 @@ from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.csv_files import forget_cells
-from ddpc_cosim.description import PlantDescription
+from ddpc_cosim.description import PlantDescription, switch_faults
 from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
+from ddpc_cosim.outlook import Limit
+from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.plant_control import PlantControl
 from ddpc_cosim.prices import Price
 from ddpc_cosim.responses import Actuation, Response
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
@@ -48,10 +51,9 @@ from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
-from ddpc_cosim.variables import FloatArray, Variable, unit_shown
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, unit_shown
 
 _MOST_LISTED = 8
-Limit = float | Reference
 Limits = dict[str, tuple[Limit, Limit]]
 
 _PLANT: Place = ("plant",)
@@ -91,7 +93,7 @@ class ResolvedStudy:
     prices : dict of str to dict of str to Price
         Those of each scenario, all of which are signals.
     read : tuple of Variable
-        Outputs that are read besides those that are controlled and measured: disturbances, and what is paid.
+        Outputs that are known disturbances, and neither controlled nor measured.
     forecast_horizon : int
         The longest horizon of the controllers.
     warm_up_controller : StabiliserSection or None
@@ -217,6 +219,11 @@ def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str
             yield from _dotted_names(value, f"{before}{name}.")
 
 
+def _no_switch(name: str) -> str:
+    """Return how a study says that an input has no switch."""
+    return f'or say that it is not one: plant.switches = {{ {name} = "" }}'
+
+
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
@@ -237,6 +244,7 @@ class _Resolution:
             return
         self.plant, self.variables = plant
         self._check_plant()
+        self._check_switches()
         self.signals = SelectedSignals(study, self.variables, errors)
         self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
         self.measurements = self.signals.measurements
@@ -306,12 +314,10 @@ class _Resolution:
         return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
 
     def _read_besides(self) -> tuple[Variable, ...]:
-        """Return the outputs that are neither controlled nor measured, and asked for all the same."""
-        measured = {*self.outputs.names, *self.measurements.names}
-        asked = {v.name: v for v in (*self.disturbances.variables.values(), *self.prices.signals)}
-        return tuple(
-            v for name, v in asked.items() if name in self.variables.outputs and name not in measured
-        )
+        """Return the outputs that are known disturbances, and neither controlled nor measured."""
+        others = self.disturbances.variables.keys() - {*self.outputs.names, *self.measurements.names}
+        known = self.disturbances.variables
+        return tuple(v for name, v in known.items() if name in others & self.variables.outputs.keys())
 
     @staticmethod
     def _with_settings(
@@ -456,6 +462,42 @@ class _Resolution:
                 errors.add(controller.place, what)
 
     @independent
+    def _check_switches(self) -> None:
+        """Find the switches of inputs, and check what the study says of them."""
+        section, errors, at = self.study.plant, self.errors, (*_PLANT, "switches")
+        faults = dict(switch_faults(section.switches, self.variables.inputs))
+        for name, fault in faults.items():
+            errors.add((*at, name), fault)
+        if not faults:
+            self.variables = self.variables.switched_by(section.switches)
+        switches = self.variables.switches
+        self.plant = replace(self.plant, switches=switches)
+        switched = {switch: name for name, switch in switches.items()}
+        driven = section.inputs or self.variables.default_inputs or self.variables.inputs
+        for switch in filter(switched.__contains__, driven):
+            name = switched[switch]
+            instead = f"who drives {name} switches it on; drive that, {_no_switch(name)}"
+            errors.add((*_PLANT, "inputs"), f'"{switch}" is the switch of {name}: {instead}')
+        self._check_not_switched_off((*_PLANT, "start"), section.start, driven)
+        self._check_not_switched_off((*_PLANT, "parameters"), section.parameters, driven)
+        for scenario, changes in self.study.scenarios.items():
+            self._check_not_switched_off(("scenarios", scenario, "parameters"), changes.parameters, driven)
+        for controller in self.controllers:
+            if isinstance(controller.controller, PlantControl) and not switches.keys() & set(driven):
+                what = "the plant has no control of its own: no input that is driven has a switch"
+                hint = 'name it in plant.switches, e.g. { NAME_u = "NAME_activate" }'
+                errors.add((*controller.place[:-1], "type"), f"{what}; {hint}")
+
+    def _check_not_switched_off(
+        self, place: Place, values: Mapping[str, ParameterValue], driven: Collection[str]
+    ) -> None:
+        """Report values that leave an input to the plant which controllers drive."""
+        for name, switch in self.variables.switches.items():
+            if name in driven and values.get(switch) in (0, "false"):
+                what = f"switches the override {name} off, which the controllers drive"
+                self.errors.add((*place, switch), f"{what}; leave it out, {_no_switch(name)}")
+
+    @independent
     def _check_recording(self) -> None:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
@@ -576,15 +618,25 @@ class _Resolution:
         if lower is None or upper is None:
             return None
         time = self._times()
-        crossed = np.flatnonzero(lower.at(time) > upper.at(time))
-        if crossed.size:
-            when, shown = time[crossed[:1]], unit_shown(variable, section.unit)
-            low, high = (float(shown.from_unit(edge.at(when))[0]) for edge in (lower, upper))
-            unit = f" {shown.name}" if shown.name else ""
-            where = f"at t = {in_words(float(when[0]))}"
-            what = f"lower ({low:g}{unit}) is above upper ({high:g}{unit}) {where}"
-            self.errors.add((*place, "band"), f"{what}; needed: lower up to upper throughout the run")
+        shown = unit_shown(variable, section.unit)
+        self._check_order((*place, "band"), ("lower", "upper"), (lower.at(time), upper.at(time)), shown)
         return Band(lower, upper)
+
+    def _check_order(
+        self, place: Place, names: tuple[str, str], sides: tuple[FloatArray, FloatArray], shown: DisplayUnit
+    ) -> None:
+        """Report where the first of two courses, in a variable's unit, is above the second."""
+        crossed = np.flatnonzero(sides[0] > sides[1])
+        if crossed.size:
+            k = crossed[0]
+            unit = f" {shown.name}" if shown.name else ""
+            low, high = (
+                f"{name} ({float(shown.from_unit(side[k : k + 1])[0]):g}{unit})"
+                for name, side in zip(names, sides, strict=True)
+            )
+            when = f"at t = {in_words(float(self._times()[k]))}"
+            needed = f"needed: {names[0]} up to {names[1]} at all times"
+            self.errors.add(place, f"{low} is above {high} {when}; {needed}")
 
     def _times(self) -> FloatArray:
         """Return the times of all samples [s], and of those as far ahead as any controller looks."""
@@ -646,12 +698,7 @@ class _Resolution:
             limit.at(time) if isinstance(limit, Reference) else np.full(len(time), limit)
             for limit in (low, high)
         )
-        crossed = np.flatnonzero(~(below < above))
-        if crossed.size:
-            when, shown = crossed[0], unit_shown(variable, section.unit)
-            pair = [float(shown.from_unit(side[when : when + 1])[0]) for side in (below, above)]
-            error = limits_error(pair)
-            self.errors.add(place, f"{error} at t = {in_words(float(time[when]))}, throughout the run")
+        self._check_order(place, ("min", "max"), (below, above), unit_shown(variable, section.unit))
         return low, high
 
     @independent

@@ -23,7 +23,7 @@ class Scenarios:
         self._known = known
         self.study, self.signals, self.errors = signals.study, signals, signals.errors
         self.variables, self.inputs, self.outputs = signals.variables, signals.inputs, signals.outputs
-        self.measurements = signals.measurements
+        self._measured = tuple(dict.fromkeys((*signals.measurements.names, *known.variables)))
 
     def check(self) -> None:
         """Report parameters, noise, events and drifts that do not fit the plant or the run."""
@@ -33,7 +33,7 @@ class Scenarios:
             place = ("scenarios", name)
             at, noisy = (*place, "parameters"), (*place, "noise")
             check_parameters(self.errors, at, "parameter", scenario.parameters, parameters)
-            self.errors.require_known(noisy, "measurement", scenario.noise, self.measurements.names)
+            self.errors.require_known(noisy, "measurement", scenario.noise, self._measured)
             for i, event in enumerate(scenario.events):
                 self._check_in_run((*place, "events", i), event, "time")
                 self._check_event((*place, "events", i), event, tunable)
@@ -46,7 +46,7 @@ class Scenarios:
     def conditions(self, name: str) -> Conditions | None:
         """Return the conditions of a scenario; None if there are errors."""
         scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
-        driven, measured = self.inputs.names, self.measurements.names
+        driven, measured = self.inputs.names, self._measured
         undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
         known = may_have(driven, self.outputs.names, measured, self.variables.inputs)
         what_of_inputs, _ = known["inputs"]

@@ -12,6 +12,7 @@ from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.signals import Reference, level_in_unit
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.variables import Variable, converter
+from fmu_plants.spelling import nearest
 
 K = TypeVar("K", str, int)
 
@@ -50,10 +51,11 @@ class SelectedSignals:
     def __init__(self, study: Study, variables: PlantDescription, errors: ValidationErrors) -> None:
         self.study, self.variables, self.errors = study, variables, errors
         plant = study.plant
-        left = [
-            name for name in variables.default_inputs or variables.inputs if name not in study.disturbances
-        ]
-        self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, left)
+        inputs = variables.default_inputs or tuple(variables.inputs)
+        # What a wrong name probably stands for is not driven either.
+        known = {name if name in inputs else nearest(name, inputs) for name in study.disturbances}
+        driven = [name for name in inputs if name not in known]
+        self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, driven)
         self.outputs = self._select(
             *(_OUTPUTS, "output", plant.outputs, variables.outputs),
             variables.default_outputs or tuple(variables.outputs),

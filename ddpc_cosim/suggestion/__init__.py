@@ -1,7 +1,7 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -116,13 +116,18 @@ def suggest_study(
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
     timing = replace(_timing(description, request), budget=share * budget)
     tell(f"step test of {path.name}")
-    open_plant: Callable[..., TestedPlant] = partial(
-        system.open if system else partial(FMUPlant, path, isolated=True),
-        inputs=driven,
-        outputs=read,
-        step_timeout=min(step_timeout, timing.budget),
-        sandbox=sandbox,
-    )
+    overrides = {switch: 1.0 for name, switch in description.switches.items() if name in driven}
+
+    def open_plant(start: Mapping[str, float]) -> TestedPlant:
+        """Open the plant, whose inputs the study is to drive, at levels of its inputs."""
+        return (system.open if system else partial(FMUPlant, path, isolated=True))(
+            inputs=driven,
+            outputs=read,
+            start={**start, **overrides},
+            step_timeout=min(step_timeout, timing.budget),
+            sandbox=sandbox,
+        )
+
     point = find(open_plant, description, request, timing)
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
@@ -205,7 +210,9 @@ def _candidates(
     chosen = request.inputs if causality == "input" else request.outputs
     if chosen is not None:
         return list(chosen), []
-    known = [signal.variable.name for signal in default_signals(description, causality)]
+    switches = set(description.switches.values())
+    usual = (signal.variable.name for signal in default_signals(description, causality))
+    known = [name for name in usual if name not in switches]
     if not known:
         locals_ = [signal.variable.name for signal in description.signals("local")][:_MOST_LISTED]
         hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""

@@ -26,8 +26,10 @@ from fmu_plants.files import cache_dir
 
 from . import plant_models
 
-# Idle answers nothing that is asked of it: it has a test of its own.
-CONTROLLERS = {plugin.name: plugin.value for plugin in installed("controllers") if plugin.name != "idle"}
+# Those that control nothing answer nothing that is asked of them: they have tests of their own.
+CONTROLLERS = {
+    plugin.name: plugin.value for plugin in installed("controllers") if plugin.name not in ("idle", "plant")
+}
 
 
 def two_loops() -> Controller:

@@ -36,6 +36,7 @@ REASONS: dict[str, str] = {
     "nmpc": "it has to be told the plant, where it is not a study that tells it",
     "offset-free": "it is about another controller",
     "pid": f'{BY_HAND}; with tuning = "step-test" it takes them from the recording',
+    "plant": "it is whatever control the plant has of its own",
     "scaled": "it is about another controller",
     "spsa": f"{BY_HAND}, and only their size is tuned",
     "wkpc-published": "it is what the authors' program does, whose ridge pulls every output to zero",

@@ -12,6 +12,7 @@ from ddpc_cosim.description import (
     PlantDescription,
     PlantSignal,
     default_signals,
+    switches_of,
 )
 from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.variables import DisplayUnit
@@ -215,4 +216,5 @@ def describe_plant(description: FMUDescription, label: str, fmi_type: str) -> Pl
         variable_step=interface.variable_step,
         fixed_step=next(fixed, None),
         warnings=description.warnings,
+        switches=switches_of(description),
     )

@@ -221,6 +221,11 @@ class PlantSection(Section):
     start: dict[str, float] = setting(
         {}, doc="values that inputs start from and rest at, in their units; empty: the plant's own"
     )
+    switches: dict[str, str] = setting(
+        {},
+        doc="for inputs that override the plant's own control, the input that switches the override on; an "
+        "empty one: none; left out: NAME_activate of NAME_u, where the plant's description says so",
+    )
     display_units: dict[str, str] = setting(
         {}, doc="units to show variables in; empty: those of the plant's description"
     )
