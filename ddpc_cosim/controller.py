@@ -22,7 +22,6 @@ from fmu_plants.spelling import did_you_mean
 OK = "ok"
 _TABLES = ("u", "y", "measured", "d")
 _NOTHING: FloatArray = np.empty(0)
-_NO_DISTURBANCES = _NOTHING.reshape(0, 0)
 _NO_INFO: Mapping[str, float] = MappingProxyType({})
 _NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 
@@ -78,10 +77,10 @@ class Recording:
     measured: FloatArray
     sampling_time: float
     seams: tuple[int, ...] = ()
-    d: FloatArray = field(default_factory=lambda: _NO_DISTURBANCES)
+    d: FloatArray = field(default_factory=lambda: _NOTHING.reshape(0, 0))
 
     def __post_init__(self) -> None:
-        if self.d is _NO_DISTURBANCES:
+        if self.d.ndim == 2 and self.d.shape[1] == 0:  # of whatever length the other arrays had
             object.__setattr__(self, "d", np.empty((len(self.u), 0)))
         shapes = {name: getattr(self, name).shape for name in _TABLES}
         if any(len(shape) != 2 for shape in shapes.values()) or len({s[0] for s in shapes.values()}) != 1:
@@ -253,6 +252,8 @@ class Charge(NamedTuple):
         Unit of the money, such as ``"EUR"``.
     known : bool
         Whether prices of the future are known; otherwise that of now is held over the horizon.
+    amount : str
+        Unit of the amounts, such as ``"kWh"``.
     """
 
     name: str
@@ -260,6 +261,7 @@ class Charge(NamedTuple):
     rate: float
     unit: str
     known: bool
+    amount: str = "1"
 
 
 @dataclass(frozen=True, slots=True)

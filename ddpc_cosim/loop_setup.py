@@ -1,24 +1,30 @@
 """What a loop is made of, checked before its first sample: times, signals, noise, limits, references."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
-from ddpc_cosim.controller import Bounds, Controller, Loop, Recording
+from ddpc_cosim.controller import Charge, Controller, Loop, Recording
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
+from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plant_control import PlantControl
+from ddpc_cosim.prices import Price
 from ddpc_cosim.signals import (
+    Band,
     Constant,
     GaussianNoise,
     ParameterChange,
     Reference,
+    SignalFromFile,
     in_unit_of,
     values_at,
 )
@@ -26,8 +32,10 @@ from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
 MOST_STEPS = 100_000_000
-# Which stream of a seed serves which purpose; a new one gets a new number. From 3 on: conditions.
+_NOTHING: FloatArray = np.empty(0)
+# Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
+_FORECAST_STREAM, WARM_UP_STREAM = 10, 11
 
 
 def check_sampling_time(sampling_time: float) -> None:
@@ -136,12 +144,18 @@ class Measured(NamedTuple):
         Controlled outputs and measurements, as a controller sees them.
     status : str
         Empty, or why a controller sees something older.
+    d : array, shape (n_d,)
+        The disturbances as measured, those that controllers are not told too.
+    all_outputs : array
+        All outputs of the plant, as they are.
     """
 
     y: FloatArray
     seen: FloatArray
     measured: FloatArray
     status: str
+    d: FloatArray
+    all_outputs: FloatArray
 
 
 class LoopSetup:
@@ -155,6 +169,8 @@ class LoopSetup:
         As in :func:`ddpc_cosim.cosimulate`.
     open_loop : bool
         Nothing is controlled: inputs without a signal rest at their start values.
+    disturbances, recorded_disturbances, prices, forecast_horizon
+        As in :func:`ddpc_cosim.cosimulate`.
 
     Raises
     ------
@@ -169,13 +185,17 @@ class LoopSetup:
         sampling_time: float,
         outputs: Sequence[str] | None,
         measurements: Sequence[str] | None,
-        bounds: Mapping[str, tuple[float, float]] | None,
+        bounds: Mapping[str, tuple[Limit, Limit]] | None,
         noise: GaussianNoise | None,
         conditions: Conditions | None,
         seed: int,
         preview: int | None,
         *,
         open_loop: bool = False,
+        disturbances: Mapping[str, KnownDisturbance] | None = None,
+        recorded_disturbances: Mapping[str, Reference] | None = None,
+        prices: Mapping[str, Price] | None = None,
+        forecast_horizon: int | None = None,
     ) -> None:
         check_sampling_time(sampling_time)
         check_seed(seed)
@@ -192,7 +212,8 @@ class LoopSetup:
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
         self.measurements = tuple(plant.outputs[i] for i in self._measured)
-        conditions = conditions or Conditions()
+        self._declared = disturbances or {}
+        conditions = self._with_disturbances(conditions or Conditions(), recorded_disturbances or {})
         if open_loop:
             resting = {variable.name: Constant(variable.start) for variable in plant.inputs}
             conditions = replace(conditions, inputs={**resting, **conditions.inputs})
@@ -205,29 +226,153 @@ class LoopSetup:
             for name, switch in plant.switches.items()
             if name in given and switch not in given and not open_loop
         }
-        self._is_switched = np.array([v.name in self._switches for v in self.inputs], dtype=bool)
+        self._is_driven = np.array([name not in conditions.inputs for name in given], dtype=bool)
+        self._is_left = self._is_driven & np.array([name in self._switches for name in given], dtype=bool)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
-        self.bounds = _bounds(self.inputs, self.outputs, bounds or {})
+        self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
+        self._set_up_disturbances(forecast_horizon)
+        self._set_up_prices(prices or {})
         self._check_conditions(conditions)
-        rest = np.clip([v.start for v in self.inputs], self.bounds.u_min, self.bounds.u_max)
-        self.actuators = Actuators(plant.inputs, rest, conditions, sampling_time, seed)
+        self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
         deviation = self._deviations(noise.standard_deviation if noise else {})
         rng = self._stream(NOISE_STREAM)
-        self._sensors = Sensors(plant.outputs, deviation, conditions, sampling_time, seed, rng)
+        self._sensors = Sensors(self._sensed, deviation, conditions, sampling_time, seed, rng)
+
+    def _with_disturbances(self, conditions: Conditions, recorded: Mapping[str, Reference]) -> Conditions:
+        """Return conditions in which the disturbances that are inputs of the plant have their signals."""
+        inputs, declared = names(self.plant.inputs), self._declared
+        known = (*inputs, *names(self.plant.outputs))
+        faults = _unknown("disturbances", declared, known) + _unknown(
+            "recorded_disturbances", recorded, inputs
+        )
+        signals = {
+            name: disturbance.signal
+            for name, disturbance in declared.items()
+            if name in inputs and disturbance.signal is not None
+        }
+        faults += [
+            f"disturbances: {name} has no signal; needed: its course, as no controller drives this input"
+            for name in declared
+            if name in inputs and name not in signals and name not in conditions.inputs
+        ]
+        faults += [
+            f"disturbances: {name} is an output; what it will be is needed for its forecasts: give it a "
+            'signal, a file of forecasts, or known = "measured"'
+            for name, disturbance in declared.items()
+            if name not in inputs and disturbance.is_foretold and disturbance.signal is None
+        ]
+        faults += [
+            f"recorded_disturbances: {name} is not among the disturbances"
+            for name in recorded
+            if name not in declared
+        ]
+        if faults:
+            raise ConfigError(faults)
+        if not declared:
+            return conditions
+        return replace(
+            conditions,
+            inputs={**conditions.inputs, **signals},
+            recorded_inputs={**conditions.recorded_inputs, **recorded},
+        )
+
+    def _set_up_disturbances(self, forecast_horizon: int | None) -> None:
+        """Find where the declared disturbances are measured: at outputs, or at inputs, which come after."""
+        inputs = {variable.name: variable for variable in self.plant.inputs}
+        self._measured_inputs = tuple(inputs[name] for name in self._declared if name in inputs)
+        self._sensed = (*self.plant.outputs, *self._measured_inputs)
+        places = {variable.name: i for i, variable in reversed(list(enumerate(self._sensed)))}
+        places |= {v.name: len(self.plant.outputs) + i for i, v in enumerate(self._measured_inputs)}
+        self._d = np.array([places[name] for name in self._declared], dtype=np.intp)
+        self._lags = [disturbance.lag for disturbance in self._declared.values()]
+        self.known = np.array([disturbance.is_known for disturbance in self._declared.values()], dtype=bool)
+        self.disturbances = tuple(
+            self._sensed[place] for place, is_known in zip(self._d, self.known, strict=True) if is_known
+        )
+        self._forecast_horizon = forecast_horizon
+
+    def _set_up_prices(self, prices: Mapping[str, Price]) -> None:
+        """Find what the charged signals are, and what they cost but for the price."""
+        self.prices = prices
+        inputs = {v.name: i for i, v in enumerate(self.plant.inputs)}
+        outputs = {v.name: i for i, v in enumerate(self.plant.outputs)}
+        seen = {
+            *names(self.inputs),
+            *names(self.outputs),
+            *names(self.measurements),
+            *names(self._measured_inputs),
+        }
+        faults, charges = list[str](), list[Charge]()
+        self._charged = list[tuple[bool, int]]()
+        for name, price in prices.items():
+            if price.signal not in seen and price.signal not in inputs:
+                what = "is not measured" if price.signal in outputs else "is not a signal of the plant"
+                needed = did_you_mean(price.signal, sorted(seen))
+                faults.append(
+                    f"prices: {name}: {price.signal} {what}; needed: an input or a measurement; {needed}"
+                )
+                continue
+            is_input = price.signal in inputs
+            place = inputs[price.signal] if is_input else outputs[price.signal]
+            try:
+                variable = (self.plant.inputs if is_input else self.plant.outputs)[place]
+                charges.append(price.charge(name, variable))
+            except ConfigError as error:
+                faults += error.faults
+            self._charged.append((is_input, place))
+        money = {charge.unit: charge.name for charge in charges}
+        if len(money) > 1:
+            listed = ", ".join(f"{name} in {unit}" for unit, name in money.items())
+            faults.append(f"prices: {listed}; needed: all in one money, as what is paid is added up")
+        if faults:
+            raise ConfigError(faults)
+        self.charges = tuple(charges)
+
+    @property
+    def rest(self) -> FloatArray:
+        """Where the driven inputs are before a run, shape (m,)."""
+        pairs = [self._given_bounds.get(v.name, (v.min, v.max)) for v in self.inputs]
+        limits = [
+            [
+                limit if isinstance(limit, int | float) else side * math.inf
+                for limit, side in zip(pair, (-1, 1), strict=True)
+            ]
+            for pair in pairs
+        ]
+        low, high = np.array(limits, dtype=float).reshape(-1, 2).T
+        return np.clip([v.start for v in self.inputs], low, high)
+
+    def limits(self, time: FloatArray) -> Limits:
+        """Return the limits of inputs and controlled outputs at times [s], shape (K,)."""
+        return Limits.over((*self.inputs, *self.outputs), len(self.inputs), self._given_bounds, time)
+
+    def table_widths(self, wanted: Wanted) -> dict[str, int]:
+        """Return how many columns the further tables of a run have."""
+        sizes = len(self.inputs), len(self.outputs)
+        return table_widths(self._declared, wanted, self._given_bounds, self.prices, *sizes)
 
     def _stream(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._seed, number])
 
     def _deviations(self, given: Mapping[str, float]) -> FloatArray:
-        """Return the noise of the plant's outputs up to the last that takes part."""
-        check_names("noise", given, self.measurements)
+        """Return the noise of the plant's outputs up to the last that takes part, and of the disturbances."""
+        check_names("noise", given, self._noisy)
         deviations = np.zeros(int(max((*self._outputs, *self._measured), default=-1)) + 1)
-        for index, variable in zip(self._measured, self.measurements, strict=True):
-            deviations[index] = given.get(variable.name, 0.0)
+        places = dict(zip(names(self.measurements), self._measured.tolist(), strict=True))
+        places |= dict(zip(self._declared, self._d.tolist(), strict=True))
+        for name, deviation in given.items():
+            if places[name] >= len(deviations):
+                deviations = np.pad(deviations, (0, places[name] + 1 - len(deviations)))
+            deviations[places[name]] = deviation
         return deviations
 
+    @property
+    def _noisy(self) -> tuple[Variable, ...]:
+        """What is measured: outputs, and inputs that are known disturbances."""
+        return tuple(dict.fromkeys((*self.measurements, *(self._sensed[place] for place in self._d))))
+
     def _check_conditions(self, conditions: Conditions) -> None:
-        known = may_have(*map(names, (self.inputs, self.outputs, self.measurements, self.plant.inputs)))
+        known = may_have(*map(names, (self.inputs, self.outputs, self._noisy, self.plant.inputs)))
         faults = []
         for key, (_, signals) in known.items():
             faults += _unknown(key, getattr(conditions, key), signals)
@@ -243,20 +388,20 @@ class LoopSetup:
         self,
         time: FloatArray,
         *,
+        ahead: int = 0,
         in_experiment: bool = False,
         continues: bool = False,
-        accepts_missing: bool = True,
     ) -> None:
         """Prepare for a run with samples at these times [s], shape (K,).
 
         Parameters
         ----------
+        ahead : int
+            How many of the last times come after the run, for forecasts.
         in_experiment : bool
             It records data: without disturbances and losses.
         continues : bool
             Actuators and sensors go on from where they are; otherwise they start from rest.
-        accepts_missing : bool
-            Whether the controller is shown NaN for a lost measurement, or the last value that arrived.
 
         Raises
         ------
@@ -264,14 +409,47 @@ class LoopSetup:
             A delay is too long for the run, or a signal has values that are not possible.
         """
         run = "experiment" if in_experiment else "run"
+        whole, time = time, time[: len(time) - ahead]
         faults = [
             f"conditions: {key} of {name}: {fault}"
             for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
+        faults += self._gaps(whole, in_experiment=in_experiment)
         if faults:
             raise ConfigError(faults)
-        self.actuators.start(time, in_experiment=in_experiment, continues=continues)
-        self._sensors.start(time, in_experiment=in_experiment, continues=continues, holds=not accepts_missing)
+        self.actuators.start(whole, ahead=ahead, in_experiment=in_experiment, continues=continues)
+        if self._measured_inputs:
+            self._courses = np.column_stack([self.actuators.course(v.name) for v in self._measured_inputs])
+        if not continues:
+            self._past_d = list[FloatArray]()
+        self._sensors.start(time, in_experiment=in_experiment, continues=continues)
+
+    def hand_over(self, *, accepts_missing: bool) -> None:
+        """Go on with a controller that is shown NaN for a lost measurement, or the last one that arrived."""
+        self._sensors.holds = not accepts_missing
+
+    def _gaps(self, time: FloatArray, *, in_experiment: bool) -> Iterator[str]:
+        """Yield which files do not tell disturbances and prices over all of a run, forecasts included."""
+        conditions = self._conditions
+        signals: dict[str, float | Reference] = {
+            f"disturbances: {name}": signal
+            for name in self._declared
+            for signal in (
+                conditions.recorded_inputs.get(name) if in_experiment else None,
+                conditions.inputs.get(name),
+            )
+            if signal is not None
+        }
+        signals |= {} if in_experiment else {f"prices: {name}": p.price for name, p in self.prices.items()}
+        first, last = float(time[0]), float(time[-1])
+        for what, signal in signals.items():
+            if isinstance(signal, SignalFromFile) and (gap := signal.gap(first, last)):
+                yield f"{what}: {gap}"
+
+    @property
+    def has_switches(self) -> bool:
+        """Whether the plant has a control of its own for an input that is driven."""
+        return bool(self._is_left.any())
 
     def switched(self, controller: Controller) -> dict[str, ParameterValue]:
         """Return the plant's switches under a controller, as parameters: 1 where an input is driven.
@@ -292,17 +470,146 @@ class LoopSetup:
 
     def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
         """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        return np.where(self._is_switched, np.nan, u) if isinstance(controller, PlantControl) else u
+        left = self._is_left[self._is_driven]
+        return np.where(left, np.nan, u) if isinstance(controller, PlantControl) else u
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
+        if self._measured_inputs:
+            y_plant = np.concatenate([y_plant, self._courses[k]])
         y = self._sensors.disturb(k, y_plant)
         seen, status = self._sensors.measure(k, y)
-        return Measured(y[self._outputs], seen[self._outputs], seen[self._measured], status)
+        d = self._measured_disturbances(y, seen) if self._d.size else _NOTHING
+        return Measured(y[self._outputs], seen[self._outputs], seen[self._measured], status, d, y)
 
-    def references(self, reference: Reference | Mapping[str, Reference], time: FloatArray) -> FloatArray:
-        """Return the references of all outputs at all times, shape (len(time), p)."""
-        if isinstance(reference, Reference):
+    def _measured_disturbances(self, y: FloatArray, seen: FloatArray) -> FloatArray:
+        """Return the disturbances as measured, the last value in place of one that is missing, or late."""
+        past, now = self._past_d, seen[self._d]
+        before = past[-1] if past else y[self._d]
+        past.append(np.where(np.isnan(now), before, now))
+        del past[: -1 - max(self._lags)]
+        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
+
+    def charged(self, controller: Controller, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
+        """Return what the plant has of the charged signals, given all its inputs and outputs.
+
+        Of inputs that are left to the plant, it is not known.
+        """
+        if isinstance(controller, PlantControl):
+            applied = np.where(self._is_left, np.nan, applied)
+        return np.array([applied[i] if is_input else all_outputs[i] for is_input, i in self._charged])
+
+    def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return prices and emissions per amount at times [s], both of shape (len(time), n_prices)."""
+        tables = np.empty((2, len(time), len(self.prices)))
+        for i, (name, price) in enumerate(self.prices.items()):
+            tables[:, :, i] = price.over(name, time)
+        tables.setflags(write=False)
+        return tables[0], tables[1]
+
+    def expected(self, time: FloatArray, first: int, samples: int) -> Expected:
+        """Return what is expected of the disturbances at the samples of a run that has been started.
+
+        Parameters
+        ----------
+        time : array, shape (N,)
+            From the first sample that controllers see on [s], horizon included.
+        first : int
+            Its number among those of the run.
+        samples : int
+            Number of samples of the run from there on.
+        """
+        times = RunTimes(float(time[0]), self.sampling_time, samples)
+        ahead = len(time) - samples
+        longest = ahead if self._forecast_horizon is None else self._forecast_horizon
+        truth = np.full((len(time), len(self.disturbances)), np.nan)
+        forecasts, lags = [], []
+        for i, variable in enumerate(self.disturbances):
+            disturbance = self._declared[variable.name]
+            if variable in self._measured_inputs:
+                course = self.actuators.course(variable.name)[first : first + len(time)]
+                truth[: len(course), i] = course
+            elif disturbance.signal is not None:
+                signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
+                truth[:, i] = values_at(signal, what, time)
+            seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
+            rng = np.random.default_rng(seed)
+            forecasts.append(disturbance.forecasts(variable, truth[:, i], times, longest, rng))
+            lags.append(disturbance.lag)
+        return Expected(forecasts, lags, truth)
+
+    @property
+    def has_disturbances(self) -> bool:
+        """Whether there are known disturbances, which not every scenario tells controllers."""
+        return bool(self._declared)
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether what comes after the run is needed for forecasts."""
+        return any(disturbance.is_foretold for disturbance in self._declared.values())
+
+    def check_unseen(self, experiment: tuple[float, float], run: tuple[float, float]) -> None:
+        """Raise ConfigError for disturbances of which an experiment has what is to come in the run.
+
+        Parameters
+        ----------
+        experiment, run : (float, float)
+            Begin and end of both [s].
+        """
+        overlap = min(experiment[1], run[1]) - max(experiment[0], run[0])
+        if overlap <= 1e-6 * self.sampling_time:
+            return
+        conditions = self._conditions
+        seen = [
+            name
+            for name in names(self._measured_inputs)
+            if name not in conditions.recorded_inputs and _is_foretelling(conditions.inputs[name])
+        ]
+        if seen:
+            when = f"from t = {experiment[0]:g} s to {experiment[1]:g} s, the run from {run[0]:g} s"
+            remedy = "let it end before, by recording_start, or give recorded_disturbances"
+            raise ConfigError(
+                [
+                    f"disturbances: the experiment has the run's own {name}: it is {when}; {remedy}"
+                    for name in seen
+                ]
+            )
+
+    def no_wish(self, time: FloatArray) -> Wish:
+        """Return that nothing is wanted: a reference of zero."""
+        return Wish.over(self.outputs, dict.fromkeys(names(self.outputs), Constant(0.0)), time)
+
+    def no_limits(self, time: FloatArray) -> Limits:
+        """Return that there are no limits."""
+        variables = (*self.inputs, *self.outputs)
+        return Limits.over(
+            variables, len(self.inputs), dict.fromkeys(names(variables), (-math.inf, math.inf)), time
+        )
+
+    def outlook(
+        self,
+        wish: Wish,
+        limits: Limits,
+        time: FloatArray,
+        first: int,
+        samples: int,
+        horizon: int,
+        preview: int,
+    ) -> Outlook:
+        """Return what a controller may look at in a run that has been started; parameters as there."""
+        price, _ = self.prices_at(time)
+        expected = self.expected(time, first, samples)
+        return Outlook(wish, limits, self.charges, price, expected, horizon, preview)
+
+    def wanted(self, reference: Reference | Band | Wanted) -> Wanted:
+        """Return references by the names of the controlled outputs.
+
+        Raises
+        ------
+        ConfigError
+            They are not one for each.
+        """
+        if isinstance(reference, Reference | Band):
             if len(self.outputs) != 1:
                 raise ConfigError(f"reference: give one for each output: {', '.join(names(self.outputs))}")
             reference = {self.outputs[0].name: reference}
@@ -310,15 +617,22 @@ class LoopSetup:
         missing = [name for name in names(self.outputs) if name not in reference]
         if missing:
             raise ConfigError(f"reference: none for {', '.join(missing)}")
-        table = np.empty((len(time), len(self.outputs)))
-        for i, variable in enumerate(self.outputs):
-            what = f"reference of {variable.name}"
-            table[:, i] = values_at(in_unit_of(variable, reference[variable.name]), what, time)
-        table.setflags(write=False)  # controllers are handed views of it
-        return table
+        return reference
+
+    def wish(self, wanted: Wanted, time: FloatArray) -> Wish:
+        """Return what is wanted of all outputs at all times [s]."""
+        return Wish.over(self.outputs, wanted, time)
 
     def loop(
-        self, stream: int, horizon: int, recording: Recording | None = None, *, continues: bool = False
+        self,
+        stream: int,
+        horizon: int,
+        limits: Limits,
+        recording: Recording | None = None,
+        *,
+        is_band: Iterable[bool] = (),
+        continues: bool = False,
+        past: Recording | None = None,
     ) -> Loop:
         """Return what a controller of a horizon learns; raise DataError for a recording of another loop."""
         if recording is not None:
@@ -328,24 +642,47 @@ class LoopSetup:
             inputs=self.inputs,
             outputs=self.outputs,
             measurements=self.measurements,
-            bounds=self.bounds,
-            recording=_protected(recording),
+            bounds=limits.bounds,
+            recording=recording and self._protected(recording),
             rng=self._stream(stream),
-            preview=horizon if self._preview is None else min(horizon, int(self._preview)),
+            preview=self.preview_of(horizon),
             continues_recording=continues,
+            disturbances=self.disturbances,
+            bands=tuple(compress(names(self.outputs), is_band)),
+            moving_limits=limits.moving,
+            charges=self.charges,
+            past=past and self._protected(past),
         )
+
+    def preview_of(self, horizon: int) -> int:
+        """Return how many future references a controller of a horizon sees."""
+        return horizon if self._preview is None else min(horizon, int(self._preview))
+
+    def _protected(self, recording: Recording) -> Recording:
+        """Return a recording that a controller can only read, of the disturbances that it is told."""
+        tables = {key: getattr(recording, key).view() for key in ("u", "y", "measured")}
+        tables["d"] = recording.d[:, self.known]
+        for table in tables.values():
+            table.setflags(write=False)
+        return replace(recording, **tables)
 
     def _check_recording(self, recording: Recording) -> None:
         columns = {
             "inputs": (recording.u.shape[1], len(self.inputs)),
             "controlled outputs": (recording.y.shape[1], len(self.outputs)),
             "measurements": (recording.measured.shape[1], len(self.measurements)),
+            "disturbances": (recording.d.shape[1], len(self._declared)),
         }
         faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
         if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
             faults.append(f"sampling time {recording.sampling_time:g} s, the loop {self.sampling_time:g} s")
         if faults:
             raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
+
+
+def _is_foretelling(signal: Reference) -> bool:
+    """Whether a signal over one time tells it at another: it is neither random nor constant."""
+    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
 
 
 def _is_finite(value: Any) -> bool:
@@ -362,21 +699,23 @@ def _chosen(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
     return listed
 
 
-def _bounds(
-    inputs: Sequence[Variable], outputs: Sequence[Variable], given: Mapping[str, tuple[float, float]]
-) -> Bounds:
-    """Return the limits of inputs and controlled outputs: those given, else the plant's own."""
+def _checked_bounds(
+    inputs: Sequence[Variable], outputs: Sequence[Variable], given: Mapping[str, tuple[Limit, Limit]]
+) -> Mapping[str, tuple[Limit, Limit]]:
+    """Return the limits that are given, if they are those of inputs and controlled outputs, and possible."""
     check_names("bounds", given, (*inputs, *outputs))
-    faults = [f"bounds of {name}: {fault}" for name, pair in given.items() if (fault := limits_error(pair))]
+    faults = [
+        f"bounds of {name}: {fault}"
+        for name, pair in given.items()
+        if not _is_moving(pair) and (fault := limits_error(pair))
+    ]
     if faults:
         raise ConfigError(faults)
-    limits = [
-        np.array([given.get(v.name, (v.min, v.max)) for v in variables], dtype=float).reshape(-1, 2)
-        for variables in (inputs, outputs)
-    ]
-    for table in limits:
-        table.setflags(write=False)  # the master clips at what controllers are shown
-    return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
+    return given
+
+
+def _is_moving(pair: Any) -> bool:
+    return isinstance(pair, tuple | list) and len(pair) == 2 and any(isinstance(x, Reference) for x in pair)
 
 
 def limits_error(limits: Any) -> str:
@@ -386,13 +725,3 @@ def limits_error(limits: Any) -> str:
     except (TypeError, ValueError):
         return f"needed: two numbers, got {limits!r}"
     return "" if low < high else f"min ({low:g}) must be below max ({high:g})"
-
-
-def _protected(recording: Recording | None) -> Recording | None:
-    """Return a recording that a controller can only read: others may learn from the same one."""
-    if recording is None:
-        return None
-    u, y, measured = (array.view() for array in (recording.u, recording.y, recording.measured))
-    for view in (u, y, measured):
-        view.setflags(write=False)
-    return replace(recording, u=u, y=y, measured=measured)

@@ -8,15 +8,15 @@ inputs until the next sample. The experiment that records data is the same loop 
 import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from ddpc_cosim.conditions import Conditions
-from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
 from ddpc_cosim.data_quality import recording_warnings
+from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.errors import (
     ConfigError,
     ControllerError,
@@ -30,14 +30,17 @@ from ddpc_cosim.excitations import Excitation, sampling_faults
 from ddpc_cosim.loop_setup import (
     CONTROLLER_STREAM,
     STABILISER_STREAM,
+    WARM_UP_STREAM,
     LoopSetup,
     check_events,
     end_time,
     excitation_table,
     whole_steps,
 )
+from ddpc_cosim.outlook import Limit, Outlook, Wanted
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plant_control import PlantControl
+from ddpc_cosim.prices import Price
 from ddpc_cosim.processes.fork_server import ONE_THREAD
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.safe_calls import (
@@ -58,7 +61,7 @@ from ddpc_cosim.safe_calls import (
     start_controller,
     step_plant,
 )
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import Band, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray
 
@@ -71,6 +74,7 @@ OUTCOME_OF = {
     StepStatus.TERMINATED: Outcome.TERMINATED,
 }
 
+_NOTHING: FloatArray = np.empty(0)
 EARLY = 1e-6
 """How far a sample time can lie before the instant it stands for, in sampling times."""
 
@@ -101,11 +105,11 @@ def cosimulate(
     *,
     sampling_time: float,
     duration: float,
-    reference: Reference | Mapping[str, Reference],
+    reference: Reference | Band | Wanted,
     excitation: Excitation | None = None,
     stabiliser: Controller | None = None,
     recording: Recording | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[Limit, Limit]] | None = None,
     outputs: Sequence[str] | None = None,
     measurements: Sequence[str] | None = None,
     parameters: Mapping[str, ParameterValue] | None = None,
@@ -116,6 +120,13 @@ def cosimulate(
     seed: int = 0,
     start_time: float = 0.0,
     continue_recording: bool = False,
+    disturbances: Mapping[str, KnownDisturbance] | None = None,
+    recorded_disturbances: Mapping[str, Reference] | None = None,
+    recording_start: float | None = None,
+    forecast_horizon: int | None = None,
+    prices: Mapping[str, Price] | None = None,
+    warm_up: float = 0.0,
+    warm_up_controller: Controller | None = None,
     store: RowStore | None = None,
 ) -> Trace:
     """Run one closed loop of a plant and a controller.
@@ -129,8 +140,8 @@ def cosimulate(
         (``conditions``), the others at rest; outputs are measured and none is controlled.
     sampling_time, duration : float
         Time between samples and simulated time [s]; the duration is an integer multiple of the sampling time.
-    reference : Reference or mapping of str to Reference
-        Reference of the controlled output, or of each by name, in their units.
+    reference : Reference, Band, or mapping of str to these
+        Reference of the controlled output, or of each by name, in their units; a band in place of a line.
     excitation : Excitation, optional
         The experiment to record before the loop is closed.
     stabiliser : Controller, optional
@@ -138,9 +149,9 @@ def cosimulate(
         added to its inputs. Without one the experiment is in open loop.
     recording : Recording, optional
         A recording made before, in place of ``excitation``.
-    bounds : mapping of str to (float, float), optional
-        Limits of inputs and controlled outputs by name; default: the plant's own min and max. Inputs beyond
-        them are clipped, which counts as a fallback of the controller.
+    bounds : mapping of str to (float or Reference, float or Reference), optional
+        Limits of inputs and controlled outputs by name, signals where they change with time; default: the
+        plant's own min and max. Inputs beyond them are clipped, which counts as a fallback of the controller.
     outputs, measurements : sequence of str, optional
         Which of the plant's outputs are controlled and which are measured; default: all.
     parameters : mapping of str to float, int, bool or str, optional
@@ -160,6 +171,22 @@ def cosimulate(
         Time of the first sample [s].
     continue_recording : bool
         Close the loop where the experiment ended instead of starting from rest.
+    disturbances : mapping of str to KnownDisturbance, optional
+        Inputs that no controller drives, or measured outputs, of which controllers know, by name.
+    recorded_disturbances : mapping of str to Reference, optional
+        Signals of some of these inputs in the experiment, in place of their own course.
+    recording_start : float, optional
+        When the experiment begins [s]; default: at 0, with disturbances so that it ends where the loop
+        begins.
+    forecast_horizon : int, optional
+        The longest horizon of all controllers that are compared, on which the size of errors of forecasts
+        depends; default: that of this controller.
+    prices : mapping of str to Price, optional
+        What signals cost, by name.
+    warm_up : float
+        How long the plant runs before the first sample [s], which is not part of the trace.
+    warm_up_controller : Controller, optional
+        Controls it meanwhile; default: inputs rest, and the plant's own control acts where it has one.
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
 
@@ -177,18 +204,28 @@ def cosimulate(
         change after the end of the run, a plant that cannot be initialised.
     """
     signals = (outputs, measurements, bounds, noise, conditions)
-    setup = LoopSetup(plant, sampling_time, *signals, seed, preview, open_loop=controller is None)
-    controller = controller or _NoController()
+    setup = LoopSetup(
+        plant,
+        sampling_time,
+        *signals,
+        seed,
+        preview,
+        open_loop=controller is None,
+        disturbances=disturbances,
+        recorded_disturbances=recorded_disturbances,
+        prices=prices,
+        forecast_horizon=forecast_horizon,
+    )
+    is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
+    wanted = {} if is_open_loop else setup.wanted(reference)
     steps = whole_steps(duration, sampling_time)
     end = end_time(start_time, steps, sampling_time)
     check_events(events, end)
-    if excitation is not None and recording is not None:
-        raise ConfigError("give an excitation or a recording, not both")
-    if excitation is None and stabiliser is not None:
-        raise ConfigError("stabiliser needs an excitation, which is added to its inputs")
-    if excitation is None and continue_recording:
+    _check_choices(excitation, recording, stabiliser, continue_recording, warm_up)
+    warm_up_steps = whole_steps(warm_up, sampling_time) if warm_up else 0
+    if warm_up_steps > steps:
         raise ConfigError(
-            "continue_recording needs an excitation: the experiment whose end the loop starts from"
+            f"warm_up = {warm_up:g} s is longer than the run, {duration:g} s; choose a shorter one"
         )
     learns = learns_from_recording(controller)
     if learns and excitation is None and recording is None:
@@ -198,29 +235,57 @@ def cosimulate(
     diagnostics: dict[str, float] = {}
     if excitation is not None:
         onwards = duration if continue_recording else 0.0
-        experiment = _experiment(setup, excitation, stabiliser, reference, parameters, onwards)
+        run = (start_time, end)
+        experiment = _experiment(
+            setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run
+        )
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
             diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
+    begin = start_time - warm_up_steps * sampling_time
+    warmer = warm_up_controller or (PlantControl() if setup.has_switches else _NoController(setup.rest))
     switched = setup.switched(controller)
+    before = setup.switched(warmer) if warm_up_steps else switched
     if not continue_recording:
         plant.plan(sampling_time, end)
-        y_plant = reset_plant(plant, {**(parameters or {}), **switched} or parameters, start_time)
+        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, begin)
     elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
         set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
-    loop = setup.loop(CONTROLLER_STREAM, horizon, recording, continues=continue_recording)
+    later = max(horizon, horizon_of(warmer)) if setup.looks_ahead else 0
+    first, samples = warm_up_steps, steps + 1
+    whole = begin + np.arange(first + samples + later, dtype=np.float64) * sampling_time
+    past = recording if continue_recording else None
+    if first:
+        setup.start(whole, ahead=later)
+        warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
+        past, y_plant = warm.recording, warm.y_plant
+        if switched != before:
+            set_plant_parameters(plant, switched, start_time)
+    time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
+    visible = time[: samples + setup.preview_of(horizon)]
+    wish, limits = setup.wish(wanted, visible), setup.limits(visible)
+    loop = setup.loop(
+        CONTROLLER_STREAM,
+        horizon,
+        limits,
+        recording,
+        is_band=wish.is_band,
+        continues=continue_recording,
+        past=past,
+    )
     start_controller(controller, loop)
     settings = controller_settings(controller)
     knowledge = controller_knowledge(controller, loop)
-    time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
-    table = setup.references(reference, time)
-    warnings = recording_warnings(loop, table) if learns else ()
+    warnings = recording_warnings(loop, wish.reference) if learns else ()
     warnings += controller_warnings(controller)
-    rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
-    accepts_missing = conditions is None or not conditions.loses or does_accept_missing(controller)
-    setup.start(rows.time, continues=continue_recording, accepts_missing=accepts_missing)
-    outcome, reason, transient = _closed_loop(setup, controller, rows, y_plant, events)
+    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), store)
+    if not first:
+        setup.start(whole, ahead=later, continues=continue_recording)
+    if conditions is not None and conditions.loses:
+        setup.hand_over(accepts_missing=does_accept_missing(controller))
+    rows.look(setup.outlook(wish, limits, time, first, samples, horizon, loop.preview))
+    outcome, reason, transient = _closed_loop(setup, controller, rows, y_plant, events, first)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
     except ControllerError as error:
@@ -232,7 +297,7 @@ def cosimulate(
         changed_inputs=setup.changed_inputs,
         outputs=setup.outputs,
         measurements=setup.measurements,
-        bounds=setup.bounds,
+        bounds=limits.bounds,
         sampling_time=sampling_time,
         planned_samples=steps + 1,
         preview=loop.preview,
@@ -245,7 +310,34 @@ def cosimulate(
         knowledge=knowledge,
         provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
+        disturbances=setup.disturbances,
+        bands=loop.bands,
+        moving_limits=limits.moving,
+        charges=setup.charges,
     )
+
+
+def _check_choices(
+    excitation: Excitation | None,
+    recording: Recording | None,
+    stabiliser: Controller | None,
+    continue_recording: bool,
+    warm_up: float,
+) -> None:
+    """Raise ConfigError for keywords that contradict each other."""
+    faults = []
+    if excitation is not None and recording is not None:
+        faults.append("give an excitation or a recording, not both")
+    if excitation is None and stabiliser is not None:
+        faults.append("stabiliser needs an excitation, which is added to its inputs")
+    if excitation is None and continue_recording:
+        faults.append("continue_recording needs an excitation: the experiment whose end the loop starts from")
+    if continue_recording and warm_up:
+        faults.append(
+            "warm_up does not go with continue_recording, where the loop goes on from the experiment"
+        )
+    if faults:
+        raise ConfigError(faults)
 
 
 @_on_one_thread
@@ -255,8 +347,8 @@ def record(
     *,
     sampling_time: float,
     stabiliser: Controller | None = None,
-    reference: Reference | Mapping[str, Reference] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    reference: Reference | Band | Wanted | None = None,
+    bounds: Mapping[str, tuple[Limit, Limit]] | None = None,
     outputs: Sequence[str] | None = None,
     measurements: Sequence[str] | None = None,
     parameters: Mapping[str, ParameterValue] | None = None,
@@ -264,13 +356,24 @@ def record(
     conditions: Conditions | None = None,
     preview: int | None = None,
     seed: int = 0,
+    disturbances: Mapping[str, KnownDisturbance] | None = None,
+    recorded_disturbances: Mapping[str, Reference] | None = None,
+    recording_start: float = 0.0,
 ) -> Recording:
     """Run an experiment from the plant's initial state; parameters as in :func:`cosimulate`.
 
     Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview)
-    return _experiment(setup, excitation, stabiliser, reference or {}, parameters).recording
+    signals = (outputs, measurements, bounds, noise, conditions, seed, preview)
+    setup = LoopSetup(
+        plant,
+        sampling_time,
+        *signals,
+        disturbances=disturbances,
+        recorded_disturbances=recorded_disturbances,
+    )
+    wanted = {} if stabiliser is None else setup.wanted(reference or {})
+    return _experiment(setup, excitation, stabiliser, wanted, parameters, recording_start).recording
 
 
 class ExcitingController(Controller):
@@ -287,7 +390,6 @@ class ExcitingController(Controller):
     def __init__(self, excitation: FloatArray, stabiliser: Controller | None) -> None:
         self._excitation, self._stabiliser = excitation, stabiliser
         self.horizon = 0 if stabiliser is None else horizon_of(stabiliser)
-        self.seen: list[FloatArray] = []
         self.fallbacks = 0
 
     def start(self, loop: Loop) -> None:
@@ -299,8 +401,7 @@ class ExcitingController(Controller):
             start_controller(self._stabiliser, loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:
-        """Return the excited inputs, shape (m,), and keep the controlled outputs as they were measured."""
-        self.seen.append(sample.y.copy())
+        """Return the excited inputs, shape (m,)."""
         excitation: FloatArray = self._excitation[sample.k]
         if self._stabiliser is None:
             return excitation
@@ -310,89 +411,179 @@ class ExcitingController(Controller):
 
 
 class _NoController(Controller):
-    """What stands in the loop where the plant runs in open loop: it drives nothing."""
+    """What stands in the loop where nothing controls the plant: inputs rest.
+
+    Parameters
+    ----------
+    rest : array, shape (m,)
+        Where they do; in open loop there are none.
+    """
+
+    def __init__(self, rest: FloatArray) -> None:
+        self._rest = rest
 
     def start(self, loop: Loop) -> None:
         """Prepare nothing."""
 
     def step(self, sample: Sample) -> FloatArray:
-        """Return no inputs, shape (0,)."""
-        return np.empty(0)
+        """Return the inputs at rest, shape (m,)."""
+        return self._rest.copy()
 
 
-class _Experiment(NamedTuple):
-    """A recording, the plant's outputs at its end, and how often the stabilising controller fell back."""
+class _Stretch(NamedTuple):
+    """What comes before a closed loop: its recording, the plant's outputs at its end, and fallbacks in it."""
 
     recording: Recording
     y_plant: FloatArray
-    fallbacks: int
+    fallbacks: int = 0
+
+
+def _warm_up(
+    setup: LoopSetup,
+    controller: Controller,
+    wanted: Wanted,
+    time: FloatArray,
+    samples: int,
+    y_plant: FloatArray,
+) -> _Stretch:
+    """Run the first samples of a run that has been started under another controller."""
+    horizon = horizon_of(controller)
+    time = time[: samples + horizon]
+    visible = time[: samples + setup.preview_of(horizon)]
+    wish, limits = setup.wish(wanted, visible), setup.limits(visible)
+    loop = setup.loop(WARM_UP_STREAM, horizon, limits, is_band=wish.is_band)
+    if learns_from_recording(controller):
+        raise ConfigError(f"warm_up_controller: {type(controller).__name__} learns from a recording itself")
+    start_controller(controller, loop)
+    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
+    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, loop.preview))
+    try:
+        y_plant = _run(setup, controller, rows, y_plant, hold_last=True)
+    except NotFiniteError as error:
+        raise DivergenceError(
+            f"the plant diverged during the warm-up, at t = {rows.next_time:g} s: {error}"
+        ) from error
+    except FMUStepError as error:
+        raise FMUStepError(f"{error.message}, during the warm-up", error.status, error.time) from error
+    except ControllerError as error:
+        raise ControllerError(f"{error}, during the warm-up, at t = {rows.last_time:g} s") from error
+    return _Stretch(rows.recording(), y_plant)
 
 
 def _experiment(
     setup: LoopSetup,
     excitation: Excitation,
     stabiliser: Controller | None,
-    reference: Reference | Mapping[str, Reference],
+    wanted: Wanted,
     parameters: Mapping[str, ParameterValue] | None,
+    begin: float | None,
     onwards: float = 0.0,
-) -> _Experiment:
-    """Excite a plant from its initial state and record it; ``onwards`` [s] are to follow."""
+    run: tuple[float, float] | None = None,
+) -> _Stretch:
+    """Excite a plant from its initial state and record it.
+
+    Parameters
+    ----------
+    begin : float or None
+        When [s]; none: at 0, or, where there are disturbances, so that it ends where the run begins.
+    onwards : float
+        How long the plant is used afterwards [s].
+    run : (float, float), optional
+        When the run is that learns from it [s], whose own disturbances it must not have.
+    """
     plant, sampling_time = setup.plant, setup.sampling_time
     if faults := sampling_faults(excitation, sampling_time):
         raise ConfigError(faults)
     inputs = excitation_table(excitation, len(setup.inputs))
+    samples = len(inputs)
+    if begin is None:
+        begin = run[0] - samples * sampling_time if run and setup.has_disturbances else 0.0
+    if run:
+        setup.check_unseen((begin, begin + samples * sampling_time), run)
     exciting = ExcitingController(inputs, stabiliser)
-    loop = setup.loop(STABILISER_STREAM, exciting.horizon)
-    start_controller(exciting, loop)
-    time = np.arange(len(inputs) + loop.preview, dtype=np.float64) * sampling_time
+    horizon = exciting.horizon
+    later = horizon if setup.looks_ahead else 0
+    time = begin + np.arange(samples + horizon, dtype=np.float64) * sampling_time
+    visible = time[: samples + setup.preview_of(horizon)]
     if stabiliser is not None:
-        table = setup.references(reference, time)
+        wish, limits = setup.wish(wanted, visible), setup.limits(visible)
     else:  # an excitation alone follows no reference, and is applied beyond the limits of the loop too
-        table = np.zeros((len(time), len(setup.outputs)))
-        loop = replace(loop, bounds=_no_bounds(loop))
-    plant.plan(sampling_time, len(inputs) * sampling_time + onwards)
-    y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, 0.0)
-    rows = _Rows(setup, loop, time, table, len(inputs), exciting.horizon)
-    setup.start(rows.time, in_experiment=True)
+        wish, limits, wanted = setup.no_wish(visible), setup.no_limits(visible), {}
+    loop = setup.loop(STABILISER_STREAM, horizon, limits, is_band=wish.is_band)
+    start_controller(exciting, loop)
+    plant.plan(sampling_time, begin + samples * sampling_time + onwards)
+    y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)
+    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
+    setup.start(time[: samples + later], ahead=later, in_experiment=True)
+    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, loop.preview))
+    kind = "open-loop" if stabiliser is None else "closed-loop"
+    y_plant = _run_before(setup, exciting, rows, y_plant, "experiment", f"{kind} experiment")
+    return _Stretch(rows.recording(), y_plant, exciting.fallbacks)
+
+
+def _run_before(
+    setup: LoopSetup, controller: Controller, rows: "_Rows", y_plant: FloatArray, what: str, kind: str = ""
+) -> FloatArray:
+    """Run what comes before the closed loop, whose faults are errors; return the plant's outputs after it."""
     try:
-        y_plant = _run(setup, exciting, rows, y_plant, hold_last=True)
+        return _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
-        kind = "open-loop" if stabiliser is None else "closed-loop"
         when = f"at t = {rows.next_time:g} s"
-        raise DivergenceError(f"the plant diverged during the {kind} experiment, {when}: {error}") from error
+        raise DivergenceError(f"the plant diverged during the {kind or what}, {when}: {error}") from error
     except FMUStepError as error:
-        raise FMUStepError(f"{error.message}, during the experiment", error.status, error.time) from error
+        raise FMUStepError(f"{error.message}, during the {what}", error.status, error.time) from error
     except ControllerError as error:
-        raise ControllerError(f"{error}, during the experiment, at t = {rows.last_time:g} s") from error
-    recording = Recording(rows.store.u, np.array(exciting.seen), rows.store.measured, sampling_time)
-    return _Experiment(recording, y_plant, exciting.fallbacks)
-
-
-def _no_bounds(loop: Loop) -> Bounds:
-    u_max, y_max = np.full(len(loop.inputs), np.inf), np.full(len(loop.outputs), np.inf)
-    return Bounds(-u_max, u_max, -y_max, y_max)
+        raise ControllerError(f"{error}, during the {what}, at t = {rows.last_time:g} s") from error
 
 
 class _Rows:
-    """The rows of a run, with the time and the references that controllers may look at."""
+    """The rows of a run, and what controllers may look at from each of them.
+
+    Parameters
+    ----------
+    setup : LoopSetup
+        The loop.
+    time : array, shape (K,)
+        The times of its samples [s].
+    widths : mapping of str to int
+        Columns of the further tables.
+    store : RowStore, optional
+        Where they are written; default: in memory.
+    keeps_seen : bool
+        Keep controlled outputs and disturbances as they were measured, for a recording.
+    """
 
     def __init__(
         self,
         setup: LoopSetup,
-        loop: Loop,
         time: FloatArray,
-        reference: FloatArray,
-        rows: int,
-        horizon: int,
+        widths: Mapping[str, int],
         store: RowStore | None = None,
+        *,
+        keeps_seen: bool = False,
     ) -> None:
-        self.time, self.reference = time[:rows], reference
-        self.horizon, self._sees_all = horizon, loop.preview >= horizon
-        self._ahead = np.minimum(np.arange(1, horizon + 1), loop.preview)
-        self.start, self.sampling_time, self.bounds = float(time[0]), loop.sampling_time, loop.bounds
-        columns = len(loop.outputs), len(loop.measurements), len(loop.inputs)
-        self.store = store or RowStore(rows, *columns, changed_inputs=len(setup.changed_inputs))
-        self.store.reference[:] = reference[:rows]
+        self.time, self._setup = time, setup
+        columns = len(setup.outputs), len(setup.measurements), len(setup.inputs)
+        self.store = store or RowStore(
+            len(time), *columns, changed_inputs=len(setup.changed_inputs), more=widths
+        )
+        self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
+
+    def look(self, outlook: Outlook) -> None:
+        """Take what controllers may look at, and keep what is known before the run."""
+        self.outlook, count = outlook, len(self.time)
+        self.store.reference[:] = outlook.wish.reference[:count]
+        price, emission = self._setup.prices_at(self.time)
+        inputs = len(self._setup.inputs)
+        tables = {
+            "band": outlook.wish.band,
+            "input_limits": outlook.limits.table[:, :inputs],
+            "output_limits": outlook.limits.table[:, inputs:],
+            "price": price,
+            "emission": emission,
+        }
+        for name in tables.keys() & self.store.more.keys():
+            self.store.more[name][:] = tables[name][:count]
 
     @property
     def count(self) -> int:
@@ -407,15 +598,41 @@ class _Rows:
     @property
     def next_time(self) -> float:
         """Time of the row to be written next [s], which may be one after the last."""
-        return self.start + self.count * self.sampling_time
+        return float(self.time[0]) + self.count * self._setup.sampling_time
 
-    def future(self, k: int) -> FloatArray:
-        """Return the references after sample k, shape (horizon, p), as far as they may be seen."""
-        if self._sees_all:
-            return self.reference[k + 1 : k + 1 + self.horizon]
-        visible: FloatArray = self.reference[k + self._ahead]
-        visible.setflags(write=False)
-        return visible
+    def write(self, k: int, first: int, controller: Controller, y_plant: FloatArray) -> FloatArray:
+        """Measure the plant at sample k, let the controller decide, and keep both in row k.
+
+        Returns what the plant is to hold until the next sample, a value for each of its inputs. The sample is
+        that of number ``first`` + k since the plant was set up.
+        """
+        setup, store, outlook = self._setup, self.store, self.outlook
+        measured = setup.measure(first + k, y_plant)
+        disturbance = measured.d[setup.known] if setup.disturbances else _NOTHING
+        if outlook.has_bands:
+            store.reference[k] = outlook.nearest(k, measured.y)
+        if setup.disturbances:
+            store.more["d"][k] = disturbance
+        if setup.charges:
+            store.more["charged"][k] = np.nan
+        store.begin(k, measured.y, measured.measured)
+        if self._seen is not None:
+            self._seen.append((measured.seen.copy(), measured.d))
+        sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, disturbance)
+        decision = ask_controller(controller, sample, store.u.shape[1]).with_status(measured.status)
+        held = clip_inputs(decision, outlook.bounds(k))
+        applied = setup.actuators.apply(first + k, held.u)
+        if setup.charges:
+            store.more["charged"][k] = setup.charged(controller, applied, measured.all_outputs)
+        given = setup.actuators.changed(applied)
+        u = held.u if self._seen is not None else setup.commanded(controller, held.u)
+        store.complete(k, u, held.status, held.seconds, given, held.info)
+        return applied
+
+    def recording(self) -> Recording:
+        """Return the rows as a recording, of all disturbances."""
+        seen, d = map(np.array, zip(*self._seen or (), strict=True))
+        return Recording(self.store.u, seen, self.store.measured, self._setup.sampling_time, d=d)
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was written."""
@@ -428,13 +645,14 @@ def _closed_loop(
     rows: _Rows,
     y_plant: FloatArray,
     events: Sequence[ParameterChange],
+    first: int,
 ) -> tuple[Outcome, str, bool]:
     """Run to the end and return how it ended, why, and whether that is the machine's fault.
 
     Faults during the run are outcomes, not exceptions.
     """
     try:
-        _run(setup, controller, rows, y_plant, events=events)
+        _run(setup, controller, rows, y_plant, events=events, first=first)
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
@@ -456,34 +674,20 @@ def _run(
     *,
     events: Sequence[ParameterChange] = (),
     hold_last: bool = False,
+    first: int = 0,
 ) -> FloatArray:
-    """Run sample by sample and return the plant's last outputs: those of the last row, or after it."""
+    """Run sample by sample and return the plant's last outputs: those of the last row, or after it.
+
+    ``first`` is the number of its first sample since the plant was set up.
+    """
     plant, h, last = setup.plant, setup.sampling_time, len(rows.time) - 1
     pending = deque(sorted(events, key=lambda event: event.time))
     require_finite(y_plant, plant)
     for k, time in enumerate(rows.time):
         while pending and pending[0].time <= time + EARLY * h:
             set_plant_parameters(plant, pending.popleft().parameters, time)
-        applied = _write_row(setup, controller, rows, k, y_plant)
+        applied = rows.write(k, first, controller, y_plant)
         if k < last or hold_last:
             y_plant = step_plant(plant, applied, h, time)
             require_finite(y_plant, plant)
     return y_plant
-
-
-def _write_row(
-    setup: LoopSetup, controller: Controller, rows: _Rows, k: int, y_plant: FloatArray
-) -> FloatArray:
-    """Measure the plant at sample k, let the controller decide, and keep both in row k.
-
-    Returns what the plant is to hold until the next sample, a value for each of its inputs.
-    """
-    y, seen, measured, status = setup.measure(k, y_plant)
-    rows.store.begin(k, y, measured)
-    sample = Sample(k, float(rows.time[k]), seen, measured, rows.future(k), rows.reference[k])
-    decision = ask_controller(controller, sample, rows.store.u.shape[1]).with_status(status)
-    held = clip_inputs(decision, rows.bounds)
-    applied = setup.actuators.apply(k, held.u)
-    given = setup.actuators.changed(applied)
-    rows.store.complete(k, setup.commanded(controller, held.u), held.status, held.seconds, given, held.info)
-    return applied

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ddpc_cosim.codec import Section
 from ddpc_cosim.controller import Charge
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import setting
-from ddpc_cosim.signals import Constant, Reference, ReferenceSignal
-from ddpc_cosim.variables import Variable
+from ddpc_cosim.signals import Reference, ReferenceSignal, in_unit_of, values_at
+from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.units import display_unit
 
 
@@ -42,13 +44,28 @@ class Price(Section):
     emissions_unit: str = setting("kg/kWh", doc="unit of the emissions")
 
     @property
-    def money(self) -> str:
-        """What is paid with."""
-        return self.unit.partition("/")[0].strip()
+    def amount(self) -> str:
+        """Unit of the amounts that are paid for."""
+        return self.unit.partition("/")[2].strip() or "1"
 
-    def signal_of_time(self) -> Reference:
-        """Return the price over time."""
-        return self.price if isinstance(self.price, Reference) else Constant(float(self.price))
+    def over(self, name: str, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is paid, in its unit, and emitted [kg], per amount at times [s], shape (len(time),).
+
+        Raises
+        ------
+        ConfigError
+            A signal has values that are not possible or a unit that does not fit, or emissions are not a mass
+            per amount.
+        """
+        what = f"emissions of {name}"
+        price = _values(Variable(f"price {name}", self.unit), self.price, f"price {name}", time)
+        emission = _values(Variable(what, self.emissions_unit), self.emissions, what, time)
+        try:
+            in_kilograms = display_unit(self.emissions_unit, f"kg/{self.amount}").factor
+        except ValueError as error:
+            unit = f'unit "{self.emissions_unit}" is not a mass per {self.amount}'
+            raise ConfigError(f'prices: {what}: {unit}; needed: as "kg/{self.amount}"') from error
+        return price, emission * in_kilograms
 
     def charge(self, name: str, variable: Variable) -> Charge:
         """Return what the signal costs but for the price.
@@ -58,11 +75,17 @@ class Price(Section):
         ConfigError
             Its unit over time is not that of the amount.
         """
-        _, _, amount = self.unit.partition("/")
+        money = self.unit.partition("/")[0].strip()
         over_time = f"{variable.unit}.s" if variable.unit not in ("", "1") else "s"
         try:
-            rate = display_unit(over_time, amount.strip()).factor
+            rate = display_unit(over_time, self.amount).factor
         except ValueError as error:
             what = f'a price in "{self.unit}" does not fit {self.signal}: {variable.unit or 1} over time'
-            raise ConfigError(f"price {name}: {what} is not an amount in {amount or 1}") from error
-        return Charge(name, self.signal, rate * self.factor, self.money, self.known)
+            raise ConfigError(f"prices: {name}: {what} is not an amount in {self.amount}") from error
+        return Charge(name, self.signal, rate * self.factor, money, self.known, self.amount)
+
+
+def _values(variable: Variable, signal: float | Reference, what: str, time: FloatArray) -> FloatArray:
+    if isinstance(signal, Reference):
+        return values_at(in_unit_of(variable, signal), what, time)
+    return np.full(len(time), float(signal))

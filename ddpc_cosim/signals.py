@@ -364,6 +364,20 @@ class SignalFromFile(_OfFile):
         kind = Steps if self.interpolation == "hold" else Interpolated
         return kind(tuple(time.tolist()), tuple(values[:, 0].tolist()))
 
+    def gap(self, first: float, last: float) -> str:
+        """Return why the file does not tell the signal from one time to another [s]; empty if it does.
+
+        A value that is held holds as long as that of the row before it. Errors as of :meth:`in_unit`.
+        """
+        time, _ = read_table(Path(self.file), [], self.time_column)
+        held = float(time[-1] - time[-2]) if self.interpolation == "hold" and len(time) > 1 else 0.0
+        begin, end, early = float(time[0]), float(time[-1]) + held, _RELATIVE_TIME_TOLERANCE * abs(last)
+        if begin <= first + early and last <= end + early:
+            return ""
+        return (
+            f"{self.file} tells it from t = {begin:g} s to {end:g} s; needed: from {first:g} s to {last:g} s"
+        )
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RecordedSignal(_OfFile):

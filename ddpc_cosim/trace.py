@@ -1,14 +1,14 @@
 """What one run leaves behind."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddpc_cosim.controller import OK, Bounds
+from ddpc_cosim.controller import OK, Bounds, Charge
 from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, Response, StepTimes, Tracking
@@ -93,6 +93,24 @@ class Trace:
         What the controller said of its steps, by name; NaN where it said nothing.
     warnings : tuple of str
         What spoke against the data or the model before the loop was closed.
+    disturbances : tuple of Variable
+        The known disturbances.
+    d : array, shape (K, n_d)
+        Them, as they were measured.
+    bands : tuple of str
+        The controlled outputs that are wanted within a band: their reference is its point nearest to them.
+    band : array, shape (K, p, 2)
+        Lower and upper edges for all outputs, both the reference where that is a line; empty without a band.
+    moving_limits : tuple of str
+        The inputs and controlled outputs whose limits change with time; ``bounds`` are the outermost.
+    input_limits, output_limits : arrays, shapes (K, m, 2) and (K, p, 2)
+        All limits over time; empty if none changes.
+    charges : tuple of Charge
+        The n_prices signals that are paid for.
+    price, emission : arrays, shape (K, n_prices)
+        What is paid and emitted per amount.
+    charged : array, shape (K, n_prices)
+        What the plant has of these signals: of an input from ``time[k]`` on, of an output at that time.
     """
 
     time: FloatArray
@@ -121,6 +139,17 @@ class Trace:
     applied: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     info: dict[str, FloatArray] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    disturbances: tuple[Variable, ...] = ()
+    d: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    bands: tuple[str, ...] = ()
+    band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
+    moving_limits: tuple[str, ...] = ()
+    input_limits: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
+    output_limits: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
+    charges: tuple[Charge, ...] = ()
+    price: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    emission: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    charged: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -231,6 +260,9 @@ class Trace:
         name (by noise) with ``measured``, and left out where it does not; an output or input whose header is
         taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from
         what a controller commanded, with ``applied``. What the controller said of its steps is ``info.NAME``.
+        The edges of a band are prefixed with ``lower`` and ``upper``, limits that change with ``min`` and
+        ``max``, known disturbances as they were measured with ``disturbance``; of prices there are ``price``,
+        ``emission`` and, of the signal that is paid for, ``charged``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
 
@@ -274,5 +306,33 @@ class Trace:
         for i, variable in enumerate(self.changed_inputs):
             header, values = shown(variable, self.applied[:, i])
             table[f"applied {header}"] = values
+        for title, variable, values in self._further():
+            header, values = shown(variable, values)
+            table[f"{title} {header}"] = values
         table["solve_time [s]"] = self.solve_time
         return table | info
+
+    def _further(self) -> Iterator[tuple[str, Variable, FloatArray]]:
+        """Yield bands, limits that change, disturbances and prices: prefix of a column, variable, values."""
+        for i, output in enumerate(self.outputs):
+            if output.name in self.bands:
+                yield "lower", output, self.band[:, i, 0]
+                yield "upper", output, self.band[:, i, 1]
+        for variables, limits in ((self.inputs, self.input_limits), (self.outputs, self.output_limits)):
+            for i, variable in enumerate(variables):
+                if variable.name in self.moving_limits:
+                    yield "min", variable, limits[:, i, 0]
+                    yield "max", variable, limits[:, i, 1]
+        for i, variable in enumerate(self.disturbances):
+            yield "disturbance", variable, self.d[:, i]
+        for i, (charge, variable) in enumerate(zip(self.charges, self._charged_variables, strict=True)):
+            yield "price", Variable(charge.name, f"{charge.unit}/{charge.amount}"), self.price[:, i]
+            yield "emission", Variable(charge.name, f"kg/{charge.amount}"), self.emission[:, i]
+            yield "charged", replace(variable, name=charge.name), self.charged[:, i]
+
+    @property
+    def _charged_variables(self) -> list[Variable]:
+        """The signals that are paid for; what takes no part in the loop is known by its name alone."""
+        known = (*self.measurements, *self.outputs, *self.disturbances, *self.changed_inputs, *self.inputs)
+        by_name = {variable.name: variable for variable in known}
+        return [by_name.get(charge.signal, Variable(charge.signal)) for charge in self.charges]

@@ -281,16 +281,20 @@ class Actuators:
         changed = names(changed_inputs(conditions, inputs))
         self._changed = np.array([all_names.index(name) for name in changed], dtype=np.intp)
 
-    def start(self, time: FloatArray, *, in_experiment: bool, continues: bool) -> None:
-        """Draw the signals of a run at its times [s], shape (K,), which starts from rest or continues one."""
+    def start(self, time: FloatArray, *, ahead: int = 0, in_experiment: bool, continues: bool) -> None:
+        """Draw the signals of a run at its times [s], shape (K,), which starts from rest or continues one.
+
+        The last ``ahead`` of the times come after the run, for forecasts.
+        """
         conditions, seed = self._conditions, self._seed
         self._acting = [effect for effect in self._effects if effect.in_experiments or not in_experiment]
+        whole, time = time, time[: len(time) - ahead]
         for effect in self._acting:
             effect.start(time, None if continues and effect.in_experiments else self._rest)
         stream, signals = _SIGNALS, conditions.inputs
         if in_experiment:
             stream, signals = _EXPERIMENT_SIGNALS, {**signals, **conditions.recorded_inputs}
-        self._own = _sums("inputs", signals, self._others, time, (seed, stream))
+        self._own = _sums("inputs", signals, self._others, whole, (seed, stream))
         self._added = None if in_experiment else _disturbances(conditions, self._driven, time, seed)
 
     def apply(self, k: int, u: FloatArray) -> FloatArray:
@@ -304,6 +308,10 @@ class Actuators:
         applied = np.empty(len(self._is_driven))
         applied[self._is_driven], applied[~self._is_driven] = u, self._own[k]
         return applied
+
+    def course(self, name: str) -> FloatArray:
+        """Return an input that no controller drives, at all times that it was started for, shape (K,)."""
+        return self._own[:, names(self._others).index(name)]
 
     def changed(self, applied: FloatArray) -> FloatArray:
         """Return the columns of :func:`changed_inputs` among all inputs."""
@@ -327,6 +335,11 @@ class Sensors:
         Seed of random signals.
     rng : numpy.random.Generator
         Draws the noise.
+
+    Attributes
+    ----------
+    holds : bool
+        Whether the last value that arrived stands in for one that is lost; no, when they start.
     """
 
     def __init__(
@@ -343,11 +356,8 @@ class Sensors:
         self._deviation, self._is_noisy = deviation, bool(deviation.any())
         self._effects = _effects("sensor", self._names, conditions, (sampling_time, seed))
 
-    def start(self, time: FloatArray, *, in_experiment: bool, continues: bool, holds: bool) -> None:
-        """Draw disturbances and losses of a run at its times [s], shape (K,), as for actuators.
-
-        If it ``holds``, the last value that arrived stands in for one that is lost.
-        """
+    def start(self, time: FloatArray, *, in_experiment: bool, continues: bool) -> None:
+        """Draw disturbances and losses of a run at its times [s], shape (K,), as for actuators."""
         conditions, seed = self._conditions, self._seed
         if not continues:
             self._seen = np.empty(0)
@@ -359,7 +369,7 @@ class Sensors:
         self._after_noise = [effect for effect in acting if effect.order >= 0]
         self._loses = any(effect.loses for effect in acting)
         self._added = None if in_experiment else _disturbances(conditions, self._outputs, time, seed)
-        self._holds = holds
+        self.holds = False
 
     def disturb(self, k: int, y: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, shape (all outputs,), with their disturbances."""
@@ -378,8 +388,8 @@ class Sensors:
         if not self._loses:
             return y, ""
         lost = np.isnan(y)
-        self._seen = y = np.where(lost, self._seen if self._holds and lost.any() else np.nan, y)
-        return y, HELD if self._holds and lost.any() else ""
+        self._seen = y = np.where(lost, self._seen if self.holds and lost.any() else np.nan, y)
+        return y, HELD if self.holds and lost.any() else ""
 
 
 def _parts(signal: Disturbance) -> Sequence[Reference]:

@@ -27,6 +27,8 @@ _HEADER = 96
 _TEXTS, _CHUNK = 1 << 16, 1 << 20
 _NOTHING: FloatArray = np.empty(0)
 _END = "\n"
+PAIRS = ("band", "input_limits", "output_limits")
+"""The further tables of lower and upper values."""
 _MOST_INFO, _LONGEST_NAME = 64, 400
 _FAILED, _NOT_KEPT = "error", "(not kept: too many different statuses)"
 
@@ -61,6 +63,9 @@ class RowStore:
         Number of columns.
     changed_inputs : int
         Number of inputs of which the plant may be given something else.
+    more : mapping of str to int
+        Columns of further tables, by name: known before the run, or filled row by row. Those in ``PAIRS``
+        have lower and upper values side by side.
     path : Path, optional
         A file, made if there is none; who opens the same one has the same rows. Default: in memory.
     follow : bool
@@ -78,6 +83,8 @@ class RowStore:
         What the plant was given instead.
     solve_time : array, shape (samples,)
         Wall-clock time of ``controller.step`` [s].
+    more : dict of str to array, shape (samples, columns), or (samples, columns / 2, 2) of pairs
+        The further tables.
     """
 
     def __init__(
@@ -89,9 +96,10 @@ class RowStore:
         path: Path | None = None,
         *,
         changed_inputs: int = 0,
+        more: Mapping[str, int] = MappingProxyType({}),
         follow: bool = False,
     ) -> None:
-        columns = (outputs, outputs, measurements, inputs, changed_inputs, 1, 1)
+        columns = (outputs, outputs, measurements, inputs, changed_inputs, 1, 1, *more.values())
         size = _HEADER + 8 * samples * sum(columns) + (_TEXTS if path else 0)
         # Whoever fills a file may cut it off, which would be a bus error in mapped memory.
         self._followed = _made(path, size) if path and follow else None
@@ -106,7 +114,11 @@ class RowStore:
             table = np.frombuffer(self._memory, np.float64, samples * count, start)
             tables.append(table.reshape(samples, count))
             start += 8 * samples * count
-        self.reference, self.y, self.measured, self.u, self.applied, solve_time, status = tables
+        self.reference, self.y, self.measured, self.u, self.applied, solve_time, status, *further = tables
+        self.more = {
+            name: table.reshape(samples, -1, 2) if name in PAIRS else table
+            for name, table in zip(more, further, strict=True)
+        }
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
         self._info_path = info_path(path) if path else None
@@ -185,6 +197,7 @@ class RowStore:
         n = self.count
         numbers = ("reference", "y", "measured", "u", "applied", "solve_time")
         tables = {name: getattr(self, name)[:n] for name in numbers}
+        tables |= {name: table[:n] for name, table in self.more.items()}
         texts = {number: text for text, number in self._texts.items()}
         status = tuple(texts.get(number, _NOT_KEPT) for number in self._status[:n].tolist())
         info = {name: values[:n] for name, values in self._info.items()}

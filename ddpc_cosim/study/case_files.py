@@ -9,7 +9,7 @@ import shutil
 import stat
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import islice
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.controller import Bounds
+from ddpc_cosim.controller import Bounds, Charge
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
@@ -280,6 +280,7 @@ def stage_case(
             "recorded_samples": trace.recorded_samples,
             "knowledge": trace.knowledge,
             "provenance": trace.provenance,
+            **_further(trace),
         }
     )
     staged.mkdir(parents=True, exist_ok=True)
@@ -289,6 +290,17 @@ def stage_case(
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
     for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
         write_through(staged / name)
+
+
+def _further(trace: Trace) -> dict[str, Any]:
+    """Return what the further columns of a trace are, as far as there are some."""
+    further = {
+        "disturbances": [asdict(variable) for variable in trace.disturbances],
+        "bands": list(trace.bands),
+        "moving_limits": list(trace.moving_limits),
+        "charges": [charge._asdict() for charge in trace.charges],
+    }
+    return {key: value for key, value in further.items() if value}
 
 
 def longest_files(folder: PurePath, case_ids: Iterable[str]) -> Iterator[PurePath]:
@@ -552,9 +564,47 @@ def read_trace(folder: Path) -> Trace:
         ]
         return np.column_stack(selected) if selected else np.empty((len(status), 0))
 
+    bounds = Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()})
+    disturbances = [_variable(variable) for variable in run.get("disturbances", ())]
+    charges = [Charge(**{**charge, "rate": float(charge["rate"])}) for charge in run.get("charges", ())]
+    reference = table(outputs, ("reference ",))
+    bands, moving = run.get("bands", ()), run.get("moving_limits", ())
+
+    def pairs(
+        variables: list[Variable], names: Sequence[str], prefixes: tuple[str, str], constant: tuple[Any, Any]
+    ) -> FloatArray:
+        """Return lower and upper values of all variables, shape (K, n, 2): in columns, or constant."""
+        if not names:
+            return np.empty((0, 0, 2))
+        table = np.empty((len(status), len(variables), 2))
+        for side, (prefix, values) in enumerate(zip(prefixes, constant, strict=True)):
+            for i, variable in enumerate(variables):
+                is_column = variable.name in names
+                table[:, i, side] = columns[f"{prefix} {variable.header}"] if is_column else values[..., i]
+        return table
+
+    def of_charges(prefix: str) -> FloatArray:
+        chosen = [
+            next(v for header, v in columns.items() if header.startswith(f"{prefix} {charge.name} ["))
+            for charge in charges
+        ]
+        return np.column_stack(chosen) if chosen else np.empty((0, 0))
+
+    limits = ("min", "max")
     return Trace(
+        disturbances=tuple(disturbances),
+        d=table(disturbances, ("disturbance ",)) if disturbances else np.empty((0, 0)),
+        bands=tuple(bands),
+        band=pairs(outputs, bands, ("lower", "upper"), (reference, reference)),
+        moving_limits=tuple(moving),
+        input_limits=pairs(inputs, moving, limits, (bounds.u_min, bounds.u_max)),
+        output_limits=pairs(outputs, moving, limits, (bounds.y_min, bounds.y_max)),
+        charges=tuple(charges),
+        price=of_charges("price"),
+        emission=of_charges("emission"),
+        charged=of_charges("charged"),
         time=columns["time [s]"],
-        reference=table(outputs, ("reference ",)),
+        reference=reference,
         y=table(outputs, ("output ", "")),
         measured=table(measurements, ("measured ", "")),
         u=table(inputs, ("input ", "")),
@@ -565,7 +615,7 @@ def read_trace(folder: Path) -> Trace:
         changed_inputs=tuple(changed_inputs),
         outputs=tuple(outputs),
         measurements=tuple(measurements),
-        bounds=Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()}),
+        bounds=bounds,
         sampling_time=run["sampling_time"],
         planned_samples=run["planned_samples"],
         preview=run["preview"],

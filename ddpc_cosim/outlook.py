@@ -1,0 +1,295 @@
+"""What is wanted, allowed, paid and expected over time, and how much of it controllers see at a sample."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.controller import Bounds, Charge, Sample
+from ddpc_cosim.disturbances import Forecasts, KnownDisturbance
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.prices import Price
+from ddpc_cosim.signals import Band, Reference, in_unit_of, values_at
+from ddpc_cosim.variables import FloatArray, Variable
+
+Limit = float | Reference
+"""A limit, or its course."""
+Wanted = Mapping[str, Reference | Band]
+"""A reference or a band for each controlled output, by name."""
+
+
+def table_widths(
+    disturbances: Mapping[str, KnownDisturbance],
+    wanted: Wanted,
+    limits: Mapping[str, tuple[Limit, Limit]],
+    prices: Mapping[str, Price],
+    inputs: int,
+    outputs: int,
+) -> dict[str, int]:
+    """Return how many columns the tables of a run have besides those of every run, by name."""
+    bands = any(isinstance(signal, Band) for signal in wanted.values())
+    moving = any(isinstance(limit, Reference) for pair in limits.values() for limit in pair)
+    widths = {
+        "d": sum(disturbance.is_known for disturbance in disturbances.values()),
+        "band": 2 * outputs * bands,
+        "input_limits": 2 * inputs * moving,
+        "output_limits": 2 * outputs * moving,
+        **dict.fromkeys(("price", "emission", "charged"), len(prices)),
+    }
+    return {name: width for name, width in widths.items() if width}
+
+
+class Wish(NamedTuple):
+    """What is wanted of the controlled outputs over N times.
+
+    Parameters
+    ----------
+    reference : array, shape (N, p)
+        References; of a band the middle.
+    band : array, shape (N, p, 2)
+        Lower and upper edges; both are the reference where that is a line.
+    is_band : array of bool, shape (p,)
+        Where it is a band.
+    """
+
+    reference: FloatArray
+    band: FloatArray
+    is_band: NDArray[np.bool_]
+
+    @classmethod
+    def over(cls, outputs: Sequence[Variable], wanted: Wanted, time: FloatArray) -> "Wish":
+        """Return what is wanted of outputs at times [s], shape (N,).
+
+        Raises
+        ------
+        ConfigError
+            A signal has values that are not possible, a unit that does not fit, or a lower edge is above the
+            upper one; all faults at once.
+        """
+        band, faults = np.empty((len(time), len(outputs), 2)), list[str]()
+        for i, variable in enumerate(outputs):
+            signal = wanted[variable.name]
+            try:
+                if isinstance(signal, Band):
+                    what = f"band of {variable.name}"
+                    for side, edge in enumerate(signal.edges(variable)):
+                        band[:, i, side] = values_at(edge, what, time)
+                    faults += _crossed(what, band[:, i], time)
+                else:
+                    what = f"reference of {variable.name}"
+                    values = values_at(in_unit_of(variable, signal), what, time)
+                    band[:, i] = values[:, np.newaxis]
+            except ConfigError as error:
+                faults += error.faults
+        if faults:
+            raise ConfigError(faults)
+        is_band = np.array([isinstance(wanted[variable.name], Band) for variable in outputs], dtype=bool)
+        reference = band[..., 0].copy()
+        reference[:, is_band] = band[:, is_band].mean(axis=-1)
+        for table in (band, reference):
+            table.setflags(write=False)  # controllers are handed views of it
+        return cls(reference, band, is_band)
+
+
+def _crossed(what: str, edges: FloatArray, time: FloatArray) -> list[str]:
+    """Return where lower is above upper, edges being of shape (N, 2)."""
+    wrong = np.flatnonzero(edges[:, 0] > edges[:, 1])
+    if not wrong.size:
+        return []
+    k = wrong[0]
+    values = f"lower {edges[k, 0]:g} is above upper {edges[k, 1]:g}"
+    return [f"{what}: {values} at t = {time[k]:g} s; needed: lower <= upper at all times"]
+
+
+class Limits(NamedTuple):
+    """Limits of inputs and controlled outputs over N times.
+
+    Parameters
+    ----------
+    table : array, shape (N, m + p, 2)
+        Lower and upper limits of the inputs and then of the outputs; infinite where there is none.
+    bounds : Bounds
+        The outermost of them.
+    moving : tuple of str
+        The signals whose limits change with time, or may.
+    """
+
+    table: FloatArray
+    bounds: Bounds
+    moving: tuple[str, ...]
+
+    @classmethod
+    def over(
+        cls,
+        variables: Sequence[Variable],
+        inputs: int,
+        given: Mapping[str, tuple[Limit, Limit]],
+        time: FloatArray,
+    ) -> "Limits":
+        """Return the limits of variables, the first so many of them inputs, at times [s], shape (N,).
+
+        What is not given is the variable's own. Errors as of :meth:`Wish.over`.
+        """
+        table, faults = np.empty((len(time), len(variables), 2)), list[str]()
+        moving = []
+        for i, variable in enumerate(variables):
+            pair = given.get(variable.name, (variable.min, variable.max))
+            if any(isinstance(limit, Reference) for limit in pair):
+                moving.append(variable.name)
+            try:
+                for side, limit in enumerate(pair):
+                    if isinstance(limit, Reference):
+                        what = f"bounds of {variable.name}"
+                        table[:, i, side] = values_at(in_unit_of(variable, limit), what, time)
+                    else:
+                        table[:, i, side] = limit
+            except ConfigError as error:
+                faults += error.faults
+                continue
+            if variable.name in moving:
+                faults += _crossed(f"bounds of {variable.name}", table[:, i], time)
+        if faults:
+            raise ConfigError(faults)
+        table.setflags(write=False)
+        low, high = table[..., 0].min(axis=0), table[..., 1].max(axis=0)
+        for array in (low, high):
+            array.setflags(write=False)  # the master clips at what controllers are shown
+        return cls(table, Bounds(low[:inputs], high[:inputs], low[inputs:], high[inputs:]), tuple(moving))
+
+
+class Expected(NamedTuple):
+    """What is expected of the disturbances in a run; see :class:`Outlook`.
+
+    Parameters
+    ----------
+    forecasts : sequence of Forecasts or None
+        Of each disturbance; None: what is measured is held.
+    lags : sequence of int
+        By how many samples each is measured late.
+    truth : array, shape (N, n_d)
+        What each will be, NaN where that is not known.
+    """
+
+    forecasts: Sequence[Forecasts | None]
+    lags: Sequence[int]
+    truth: FloatArray
+
+    def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
+        """Return what is expected to be measured at the samples after k, shape (samples, n_d)."""
+        expected = np.tile(measured, (samples, 1))
+        for i, (forecasts, lag) in enumerate(zip(self.forecasts, self.lags, strict=True)):
+            if forecasts is None:
+                continue
+            late = min(lag, samples)
+            before = self.truth[max(k + 1 - lag, 0) : k + 1 - lag + late, i]
+            if before.size and np.isfinite(before).all():
+                expected[late - len(before) : late, i] = before
+            expected[late:, i] = forecasts.after(k, samples - late)
+        return expected
+
+
+class Outlook:
+    """What controllers may look at from each sample of a run on.
+
+    Parameters
+    ----------
+    wish : Wish
+        Over the K samples and as many after them as the loop's preview.
+    limits : Limits
+        Over the same.
+    charges : tuple of Charge
+        What is paid for.
+    price : array, shape (K + horizon, n_prices)
+        Over the samples and the horizon after them.
+    expected : Expected
+        Of the disturbances.
+    horizon, preview : int
+        How many samples the controller wants to see, and how many of the references it does.
+
+    Attributes
+    ----------
+    has_bands : bool
+        Whether an output is wanted within a band.
+    """
+
+    def __init__(
+        self,
+        wish: Wish,
+        limits: Limits,
+        charges: tuple[Charge, ...],
+        price: FloatArray,
+        expected: Expected,
+        horizon: int,
+        preview: int,
+    ) -> None:
+        self.wish, self.limits, self.charges, self.price = wish, limits, charges, price
+        self._inputs, self._horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
+        self._ahead = np.minimum(np.arange(horizon + 1), preview)
+        self._expected = expected
+        self._bands = np.flatnonzero(wish.is_band)
+        self.has_bands = bool(self._bands.size)
+        self._secret = np.array([not charge.known for charge in charges], dtype=bool)
+        self._no_forecast, self._no_price = np.empty((horizon, 0)), np.empty((horizon + 1, 0))
+        for table in (price, self._no_forecast, self._no_price):
+            table.setflags(write=False)
+
+    def bounds(self, k: int) -> Bounds:
+        """Return the limits at sample k."""
+        limits = self.limits
+        if not limits.moving:
+            return limits.bounds
+        (u_min, u_max), (y_min, y_max) = limits.table[k, : self._inputs].T, limits.table[k, self._inputs :].T
+        return Bounds(u_min, u_max, y_min, y_max)
+
+    def nearest(self, k: int, y: FloatArray) -> FloatArray:
+        """Return the reference at sample k, of a band its point nearest to the outputs y, shape (p,)."""
+        return self._nearest(y, self.wish.reference[k], self.wish.band[k])
+
+    def sample(
+        self, k: int, time: float, y: FloatArray, measured: FloatArray, disturbance: FloatArray
+    ) -> Sample:
+        """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
+        rows: Any = slice(k, k + 1 + self._horizon) if self._sees_all else k + self._ahead
+        band, limits = self.wish.band[rows], self.limits.table[rows]
+        reference = self.wish.reference[rows]
+        if self.has_bands:
+            reference = self._nearest(y, reference, band)
+        forecast = self._no_forecast
+        if disturbance.size:
+            forecast = self._expected.after(k, self._horizon, disturbance)
+            forecast.setflags(write=False)
+        if not self._sees_all or self.has_bands:
+            for array in (band, limits, reference):
+                array.setflags(write=False)
+        return Sample(
+            k,
+            time,
+            y,
+            measured,
+            reference[1:],
+            reference[0],
+            disturbance,
+            forecast,
+            band[0],
+            band[1:],
+            self._price(k) if self.charges else self._no_price,
+            limits[:, : self._inputs],
+            limits[1:, self._inputs :],
+        )
+
+    def _price(self, k: int) -> FloatArray:
+        """Return the prices that are known at sample k, shape (horizon + 1, n_prices)."""
+        price = self.price[k : k + 1 + self._horizon]
+        if self._secret.any():
+            price = np.where(self._secret, price[0], price)
+            price.setflags(write=False)
+        return price
+
+    def _nearest(self, y: FloatArray, reference: FloatArray, band: FloatArray) -> FloatArray:
+        """Return references, shape (..., p), of bands their points nearest to y; without y their middle."""
+        reference = reference.copy()
+        for i in self._bands:
+            if np.isfinite(y[i]):
+                reference[..., i] = np.clip(y[i], band[..., i, 0], band[..., i, 1])
+        return reference
