@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
@@ -563,7 +563,7 @@ class LoopSetup:
         seen = [
             name
             for name in names(self._measured_inputs)
-            if name not in conditions.recorded_inputs and _is_foretelling(conditions.inputs[name])
+            if name not in conditions.recorded_inputs and is_foretelling(conditions.inputs[name])
         ]
         if seen:
             when = f"from t = {experiment[0]:g} s to {experiment[1]:g} s, the run from {run[0]:g} s"
@@ -674,11 +674,6 @@ class LoopSetup:
             faults.append(f"sampling time {recording.sampling_time:g} s, the loop {self.sampling_time:g} s")
         if faults:
             raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
-
-
-def _is_foretelling(signal: Reference) -> bool:
-    """Whether a signal over one time tells it at another: it is neither random nor constant."""
-    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
 
 
 def _is_finite(value: Any) -> bool:
