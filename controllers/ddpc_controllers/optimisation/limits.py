@@ -164,6 +164,12 @@ class ChangeLimits:
         self._backend = PIQPBackend()
         self.plan: list[float] = []
 
+    def move(self, limits: FloatArray) -> None:
+        """Take new limits of the inputs, shape (m, 2), for all of the plan from now on."""
+        self._u_min, self._u_max = limits.T
+        rates = [rate for _, _, rate in self._channels]
+        self._channels = list(zip(self._u_min.tolist(), self._u_max.tolist(), rates, strict=True))
+
     def apply(
         self, u: Sequence[float], changes: FloatArray, hessian: FloatArray, slope: FloatArray
     ) -> tuple[list[float], str]:
