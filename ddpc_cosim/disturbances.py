@@ -23,7 +23,7 @@ from ddpc_cosim.csv_files import Column, CSVFile, read_table
 from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.settings import setting
-from ddpc_cosim.signals import InputSignal, Reference
+from ddpc_cosim.signals import Constant, InputSignal, Reference
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.units import parse_unit
 
@@ -233,6 +233,11 @@ class KnownDisturbance(Section):
             return _Foretold(truth, _errors_by_sample(size, max(longest, 1), times.samples, ahead, rng))
         table = _errors_by_hour(kind, self.known, times, ahead, rng) / parse_unit(variable.unit).factor
         return _ForetoldByHour(truth, table, times, _SUN_WITHIN if kind == "sun" else None)
+
+
+def is_foretelling(signal: Reference) -> bool:
+    """Whether a signal in an experiment tells what it is in the run: it is neither random nor constant."""
+    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
 
 
 def quantity(unit: str) -> Literal["temperature", "sun", "other"]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
@@ -227,7 +227,8 @@ class LoopSetup:
             for name, switch in plant.switches.items()
             if name in given and switch not in given and not open_loop
         }
-        self._is_switched = np.array([v.name in self._switches for v in self.inputs], dtype=bool)
+        self._is_driven = np.array([name not in conditions.inputs for name in given], dtype=bool)
+        self._is_left = self._is_driven & np.array([name in self._switches for name in given], dtype=bool)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
         self._set_up_disturbances(forecast_horizon)
@@ -448,8 +449,8 @@ class LoopSetup:
 
     @property
     def has_switches(self) -> bool:
-        """Whether an input that is driven has one."""
-        return bool(self._is_switched.any())
+        """Whether the plant has a control of its own for an input that is driven."""
+        return bool(self._is_left.any())
 
     def switched(self, controller: Controller) -> dict[str, ParameterValue]:
         """Return the plant's switches under a controller, as parameters: 1 where an input is driven.
@@ -470,7 +471,8 @@ class LoopSetup:
 
     def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
         """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        return np.where(self._is_switched, np.nan, u) if isinstance(controller, PlantControl) else u
+        left = self._is_left[self._is_driven]
+        return np.where(left, np.nan, u) if isinstance(controller, PlantControl) else u
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
@@ -489,8 +491,13 @@ class LoopSetup:
         del past[: -1 - max(self._lags)]
         return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
 
-    def charged(self, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
-        """Return what the plant has of the charged signals, given all its inputs and outputs."""
+    def charged(self, controller: Controller, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
+        """Return what the plant has of the charged signals, given all its inputs and outputs.
+
+        Of inputs that are left to the plant, it is not known.
+        """
+        if isinstance(controller, PlantControl):
+            applied = np.where(self._is_left, np.nan, applied)
         return np.array([applied[i] if is_input else all_outputs[i] for is_input, i in self._charged])
 
     def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -557,7 +564,7 @@ class LoopSetup:
         seen = [
             name
             for name in names(self._measured_inputs)
-            if name not in conditions.recorded_inputs and _is_foretelling(conditions.inputs[name])
+            if name not in conditions.recorded_inputs and is_foretelling(conditions.inputs[name])
         ]
         if seen:
             when = f"from t = {shown(experiment[0])} to {shown(experiment[1])}, the run from {shown(run[0])}"
@@ -670,11 +677,6 @@ class LoopSetup:
             )
         if faults:
             raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
-
-
-def _is_foretelling(signal: Reference) -> bool:
-    """Whether a signal over one time tells it at another: it is neither random nor constant."""
-    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
 
 
 def _is_finite(value: Any) -> bool:

@@ -187,7 +187,7 @@ def cosimulate(
     warm_up : float
         How long the plant runs before the first sample [s], which is not part of the trace.
     warm_up_controller : Controller, optional
-        Controls it meanwhile; default: inputs rest.
+        Controls it meanwhile; default: inputs rest, and the plant's own control acts where it has one.
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
 
@@ -246,10 +246,10 @@ def cosimulate(
     begin = start_time - warm_up_steps * sampling_time
     warmer = warm_up_controller or (PlantControl() if setup.has_switches else _NoController(setup.rest))
     switched = setup.switched(controller)
+    before = setup.switched(warmer) if warm_up_steps else switched
     if not continue_recording:
         plant.plan(sampling_time, end)
-        at_first = setup.switched(warmer) if warm_up_steps else switched
-        y_plant = reset_plant(plant, {**(parameters or {}), **at_first} or parameters, begin)
+        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, begin)
     elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
         set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
@@ -261,7 +261,7 @@ def cosimulate(
         setup.start(whole, ahead=later)
         warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
         past, y_plant = warm.recording, warm.y_plant
-        if switched:
+        if switched != before:
             set_plant_parameters(plant, switched, start_time)
     time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
@@ -624,9 +624,10 @@ class _Rows:
         held = clip_inputs(decision, outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charges:
-            store.more["charged"][k] = setup.charged(applied, measured.all_outputs)
+            store.more["charged"][k] = setup.charged(controller, applied, measured.all_outputs)
         given = setup.actuators.changed(applied)
-        store.complete(k, setup.commanded(controller, held.u), held.status, held.seconds, given, held.info)
+        u = held.u if self._seen is not None else setup.commanded(controller, held.u)
+        store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
 
     def recording(self) -> Recording:

@@ -153,6 +153,15 @@ class Outlook:
         """Whether limits of inputs move."""
         return INPUT_LIMITS in self.windows
 
+    def at_rest(self) -> dict[str, Blocks]:
+        """Return the rows of disturbances that stay what they are at the end of the horizon."""
+        if D not in self.windows:
+            return {}
+        length, width = self.windows[D]
+        at_end = np.zeros((length, length))
+        at_end[:, -1] = 1.0
+        return {D: {D: sample_by_sample(at_end, np.eye(width))}}
+
     def begin(self, parameters: ParameterVector, past: FloatArray) -> None:
         """Fill the disturbances before this sample, shape (past, n_d), or (n_d,) as if always so."""
         if D in self.windows:
