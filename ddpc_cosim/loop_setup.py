@@ -12,6 +12,7 @@ import numpy as np
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
 from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
@@ -111,7 +112,7 @@ def late_error(time: float, end: float) -> str:
     if time < end:
         return ""
     advice = "choose an earlier time or a longer duration"
-    return f"at t = {time:g} s it would not happen: the run ends at t = {end:g} s; {advice}"
+    return f"at t = {shown(time)} it would not happen: the run ends at t = {shown(end)}; {advice}"
 
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
@@ -566,7 +567,7 @@ class LoopSetup:
             if name not in conditions.recorded_inputs and is_foretelling(conditions.inputs[name])
         ]
         if seen:
-            when = f"from t = {experiment[0]:g} s to {experiment[1]:g} s, the run from {run[0]:g} s"
+            when = f"from t = {shown(experiment[0])} to {shown(experiment[1])}, the run from {shown(run[0])}"
             remedy = "let it end before, by recording_start, or give recorded_disturbances"
             what = f"the experiment has the run's own course: it is {when}; {remedy}"
             raise ConfigError([f"disturbances: {name}: {what}" for name in seen])
@@ -671,7 +672,9 @@ class LoopSetup:
         }
         faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
         if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
-            faults.append(f"sampling time {recording.sampling_time:g} s, the loop {self.sampling_time:g} s")
+            faults.append(
+                f"sampling time {shown(recording.sampling_time)}, the loop {shown(self.sampling_time)}"
+            )
         if faults:
             raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
 

@@ -17,6 +17,7 @@ from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
 from ddpc_cosim.data_quality import recording_warnings
 from ddpc_cosim.disturbances import KnownDisturbance
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import (
     ConfigError,
     ControllerError,
@@ -461,12 +462,12 @@ def _warm_up(
         y_plant = _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
         raise DivergenceError(
-            f"the plant diverged during the warm-up, at t = {rows.next_time:g} s: {error}"
+            f"the plant diverged during the warm-up, at t = {shown(rows.next_time)}: {error}"
         ) from error
     except FMUStepError as error:
         raise FMUStepError(f"{error.message}, during the warm-up", error.status, error.time) from error
     except ControllerError as error:
-        raise ControllerError(f"{error}, during the warm-up, at t = {rows.last_time:g} s") from error
+        raise ControllerError(f"{error}, during the warm-up, at t = {shown(rows.last_time)}") from error
     return _Stretch(rows.recording(), y_plant)
 
 
@@ -528,12 +529,12 @@ def _run_before(
     try:
         return _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
-        when = f"at t = {rows.next_time:g} s"
+        when = f"at t = {shown(rows.next_time)}"
         raise DivergenceError(f"the plant diverged during the {kind or what}, {when}: {error}") from error
     except FMUStepError as error:
         raise FMUStepError(f"{error.message}, during the {what}", error.status, error.time) from error
     except ControllerError as error:
-        raise ControllerError(f"{error}, during the {what}, at t = {rows.last_time:g} s") from error
+        raise ControllerError(f"{error}, during the {what}, at t = {shown(rows.last_time)}") from error
 
 
 class _Rows:
@@ -656,13 +657,13 @@ def _closed_loop(
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
-        return Outcome.FMU_ERROR, f"{error} at t = {rows.next_time:g} s", is_of_the_machine(error)
+        return Outcome.FMU_ERROR, f"{error} at t = {shown(rows.next_time)}", is_of_the_machine(error)
     except FMUStepError as error:
         return OUTCOME_OF[error.status], str(error), is_of_the_machine(error)
     except NotFiniteError as error:
-        return Outcome.DIVERGED, f"{error} at t = {rows.next_time:g} s", False
+        return Outcome.DIVERGED, f"{error} at t = {shown(rows.next_time)}", False
     except ControllerError as error:
-        return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.last_time:g} s", is_of_the_machine(error)
+        return Outcome.CONTROLLER_ERROR, f"{error} at t = {shown(rows.last_time)}", is_of_the_machine(error)
     return Outcome.COMPLETED, "", False
 
 

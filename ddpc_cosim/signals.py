@@ -12,7 +12,7 @@ import numpy as np
 
 from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
-from ddpc_cosim.durations import in_words
+from ddpc_cosim.durations import in_words, shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
@@ -87,7 +87,7 @@ def values_at(signal: Reference, what: str, time: FloatArray) -> FloatArray:
         raise ConfigError(f"{what}: has shape {values.shape}; needed: {time.shape}")
     if not np.isfinite(values).all():
         first = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ConfigError(f"{what}: {values[first]} at t = {time[first]:g} s; needed: finite")
+        raise ConfigError(f"{what}: {values[first]} at t = {shown(time[first])}; needed: finite")
     return values
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
 from ddpc_cosim.csv_files import write_table
+from ddpc_cosim.durations import shown
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
 from ddpc_cosim.tables import plain_table
@@ -156,7 +157,7 @@ class Trace:
         return len(self.time)
 
     def __repr__(self) -> str:
-        samples = f"{len(self)} of {self.planned_samples} samples, {self.sampling_time:g} s apart"
+        samples = f"{len(self)} of {self.planned_samples} samples, {shown(self.sampling_time)} apart"
         signals = f"{' '.join(names(self.inputs))} -> {' '.join(names(self.outputs))}"
         return printable(f"Trace({self.outcome}, {samples}, {signals})")
 

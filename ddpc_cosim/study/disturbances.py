@@ -206,7 +206,9 @@ class Disturbances:
 
 
 def check_reach(selected: SelectedSignals, place: Place, signal: object, first: float, last: float) -> None:
-    """Report a signal from a file that does not tell it from one time to another [s]."""
+    """Report a signal from a file, or with one, that does not tell it from one time to another [s]."""
+    for i, part in enumerate(getattr(signal, "parts", ())):
+        check_reach(selected, (*place, "parts", i), part, first, last)
     if not isinstance(signal, SignalFromFile) or (*place, "file") in selected.errors.found:
         return
     try:

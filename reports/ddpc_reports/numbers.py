@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
 
-from ddpc_cosim.texts import clipped
+from ddpc_cosim.texts import clipped, in_words
 
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
@@ -144,10 +144,19 @@ def time_scale(seconds: Iterable[float]) -> Scale:
 
 
 def given_duration(seconds: float) -> str:
-    """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``5 s``."""
+    """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``15 min``."""
+    if seconds >= 60:
+        return given_time(seconds)
     scale = time_scale([seconds])
     # Fifteen digits hide the rounding of the product.
     return with_unit(as_given(float(f"{seconds * scale.factor:.15g}")), scale.unit)
+
+
+def given_time(seconds: float) -> str:
+    """Write a time of a run that was given, with its own digits: ``0.1 s``, ``1 h 30 min``, ``14 d``."""
+    return (
+        with_unit(as_given(seconds), "s") if abs(seconds) < 60 else in_words(seconds).replace(" ", "\u00a0")
+    )
 
 
 def duration(seconds: float) -> str:
