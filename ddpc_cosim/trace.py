@@ -99,6 +99,10 @@ class Trace:
         The known disturbances.
     d : array, shape (K, n_d)
         Them, as they were measured.
+    forecast : array, shape (K, n_d)
+        What the controller was told of them at up to five moments of the run: row k has what was expected of
+        sample k at the last of these, NaN beyond its horizon and at these moments themselves; empty where
+        there are no forecasts.
     bands : tuple of str
         The controlled outputs that are wanted within a band: their reference is its point nearest to them.
     band : array, shape (K, p, 2)
@@ -143,6 +147,7 @@ class Trace:
     warnings: tuple[str, ...] = ()
     disturbances: tuple[Variable, ...] = ()
     d: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    forecast: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     bands: tuple[str, ...] = ()
     band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
     moving_limits: tuple[str, ...] = ()
@@ -312,7 +317,8 @@ class Trace:
         taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from
         what a controller commanded, with ``applied``. What the controller said of its steps is ``info.NAME``.
         The edges of a band are prefixed with ``lower`` and ``upper``, limits that change with ``min`` and
-        ``max``, known disturbances as they were measured with ``disturbance``; of prices there are ``price``,
+        ``max``, known disturbances as they were measured with ``disturbance``, and what was expected of
+        them at a few moments with ``forecast``; of prices there are ``price``,
         ``emission`` and, of the signal that is paid for, ``charged``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
@@ -376,6 +382,8 @@ class Trace:
                     yield "max", variable, limits[:, i, 1]
         for i, variable in enumerate(self.disturbances):
             yield "disturbance", variable, self.d[:, i]
+            if self.forecast.size:
+                yield "forecast", variable, self.forecast[:, i]
         for i, (charge, variable) in enumerate(zip(self.charges, self._charged_variables, strict=True)):
             yield "price", Variable(charge.name, f"{charge.unit}/{charge.amount}"), self.price[:, i]
             yield "emission", Variable(charge.name, f"kg/{charge.amount}"), self.emission[:, i]
