@@ -15,7 +15,7 @@ EDGES: tuple[str, ...] = get_args(Edge)
 
 @dataclass(kw_only=True)
 class BandEdge(SingleWrapper):
-    """A controller that follows an edge of each band, drawn in by a margin; it is told of no band and no price.
+    """A controller that follows an edge of each band, drawn in by a margin, and is told no price.
 
     Where the band is narrower than the margin it follows the middle of the band. Outputs that are wanted at a
     reference are controlled as ever.
