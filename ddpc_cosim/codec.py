@@ -28,6 +28,7 @@ from typing import (
 
 import numpy as np
 
+from ddpc_cosim.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.errors import ConfigError, Place, dotted
 from ddpc_cosim.plugins import name_in_file
 from ddpc_cosim.settings import SettingInfo, setting_of
@@ -92,15 +93,27 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Kinds:
-    """The classes that a table of an ``Annotated`` type may be of, by its key ``kind``, and the default."""
+    """The classes that a table of an ``Annotated`` type may be of, by its key ``kind``, and the default.
+
+    ``marked``: those that a table is of, whatever else it says, if it has a key.
+    """
 
     classes: Mapping[str, type[Any]] = field(hash=False)
     default: str = ""
+    marked: Mapping[str, type[Any]] = field(default_factory=dict, hash=False)
 
     def meant_by(self, table: Any) -> Sequence[type[Any]]:
         """Return the class that a table names; all of them where it names none, as a part of a table does."""
+        if (marked := self.marked_in(table)) is not None:
+            return [marked]
         name = table.get(KIND) if isinstance(table, dict) else None
         return [kind for known, kind in self.classes.items() if name in (None, known)]
+
+    def marked_in(self, table: Any) -> type[Any] | None:
+        """Return the class of which a table has the key; None if it has no such key."""
+        return next(
+            (kind for key, kind in self.marked.items() if isinstance(table, dict) and key in table), None
+        )
 
 
 class InvalidFieldError(Exception):
@@ -658,14 +671,20 @@ class _Reader:
         return values if kind is dict else kind(values.values())
 
     def _scalar(self, hint: Any, info: SettingInfo, value: Any, place: Place) -> Any:
+        expected = DURATION if hint is float and info.unit == "s" else _EXPECTED[hint]
+        if expected == DURATION and isinstance(value, str):
+            try:
+                value = seconds_of(value)
+            except ValueError as error:
+                raise _wrong_type(place, value, expected) from error
         kind = int if hint is float and isinstance(value, int) else hint
         if not isinstance(value, kind) or (isinstance(value, bool) and hint is not bool):
-            raise _wrong_type(place, value, _EXPECTED[hint])
+            raise _wrong_type(place, value, expected)
         if hint in (int, float):
             try:
                 needed = info.needed_of(hint(value))
             except OverflowError as error:
-                raise _wrong_type(place, value, _EXPECTED[hint]) from error
+                raise _wrong_type(place, value, expected) from error
             if needed:
                 raise _WrongValueError(_Fault(place, f"must be {needed}, got {shown(value)}"))
             return hint(value)
@@ -709,6 +728,8 @@ def _kind_of(kinds: Kinds, value: Any, place: Place) -> type[Any]:
     """Return the class that a table is of."""
     if not isinstance(value, dict):
         raise _wrong_type(place, value, "a table")
+    if (marked := kinds.marked_in(value)) is not None:
+        return marked
     name = value.get(KIND, kinds.default or None)
     if name is None:
         raise _WrongValueError(_Fault(place, f'required key "{KIND}" is missing'))

@@ -68,16 +68,17 @@ def references_beyond_limits(
         The controlled outputs.
     reference : array, shape (K, p)
         Their references, in their units, time along axis 0.
-    y_min, y_max : array, shape (p,)
-        Their limits, in their units.
+    y_min, y_max : array, shape (p,) or (K, p)
+        Their limits, in their units; time along axis 0 where they move.
     """
     warnings = []
+    lower, upper = (np.broadcast_to(limits, reference.shape) for limits in (y_min, y_max))
     for i, variable in enumerate(outputs if len(reference) else ()):
-        lowest, highest = float(reference[:, i].min()), float(reference[:, i].max())
-        ends = (("down", lowest, "lower", float(y_min[i])), ("up", highest, "upper", float(y_max[i])))
-        for way, extreme, which, limit in ends:
-            beyond = extreme - limit if way == "up" else limit - extreme
-            if beyond > _ROUNDED * max(abs(limit), abs(extreme)):
+        for way, which, limits in (("down", "lower", lower[:, i]), ("up", "upper", upper[:, i])):
+            excess = reference[:, i] - limits if way == "up" else limits - reference[:, i]
+            worst = int(np.argmax(excess))
+            extreme, limit = float(reference[worst, i]), float(limits[worst])
+            if excess[worst] > _ROUNDED * max(abs(limit), abs(extreme)):
                 shown = variable.shown_in.from_unit(np.array([extreme, limit]))
                 far, near = (f"{value:.6g} {variable.shown_in.name}".strip() for value in shown)
                 warnings.append(

@@ -568,12 +568,8 @@ class LoopSetup:
         if seen:
             when = f"from t = {experiment[0]:g} s to {experiment[1]:g} s, the run from {run[0]:g} s"
             remedy = "let it end before, by recording_start, or give recorded_disturbances"
-            raise ConfigError(
-                [
-                    f"disturbances: the experiment has the run's own {name}: it is {when}; {remedy}"
-                    for name in seen
-                ]
-            )
+            what = f"the experiment has the run's own course: it is {when}; {remedy}"
+            raise ConfigError([f"disturbances: {name}: {what}" for name in seen])
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""

@@ -18,12 +18,25 @@ import numpy as np
 
 from ddpc_cosim.errors import CosimWarning
 from ddpc_cosim.plugins import Plugin, installed, source_hash
-from ddpc_cosim.responses import Actuation, Response, SampledSignal, StepTimes, WholeRun
+from ddpc_cosim.responses import (
+    Actuation,
+    BandResponse,
+    Charged,
+    Response,
+    SampledSignal,
+    StepTimes,
+    WholeRun,
+)
 from ddpc_cosim.variables import FloatArray
 
 _TRACE = "ddpc_cosim.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
-_OF_A_SIGNAL = ("difference", "value", "difference.s")
+_OF_A_SIGNAL = ("difference", "value", "difference.s", "difference.h")
+_HOUR = 3600.0  # s
+_BAND = "band_violation"
+"""What outputs with a band have, and no others."""
+Ranking = Literal["error", "money", "pareto"]
+"""By what controllers are ranked: the study's cost or errors, money, or money and discomfort both."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +70,8 @@ class Metric(Generic[Samples]):
     Parameters
     ----------
     of : type
-        What it is computed from: a controlled output, an input, the whole run, or the controller's steps; a
-        metric of a third party from the :class:`ddpc_cosim.Trace`.
+        What it is computed from: a controlled output, an input, the whole run, what is paid for, or the
+        controller's steps; a metric of a third party from the :class:`ddpc_cosim.Trace`.
     label : str
         What it is called in print.
     description : str
@@ -66,8 +79,9 @@ class Metric(Generic[Samples]):
     compute : callable
         Takes the samples and returns the value.
     unit : str
-        Its unit as FMUs write it, "1" for none; of a metric of one signal also ``"value"``, ``"difference"``
-        and ``"difference.s"``: the unit of the signal, for a value or a difference, or that times seconds.
+        Its unit as FMUs write it, "1" for none; of a metric of one signal also ``"value"``, ``"difference"``,
+        ``"difference.s"`` and ``"difference.h"``: the unit of the signal, for a value or a difference, or
+        that times seconds or hours; of what is paid for also ``"money"``.
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
     if_held : bool
@@ -77,6 +91,10 @@ class Metric(Generic[Samples]):
         How the cases of several seeds are summed up in one value.
     shown : sequence of {"report", "terminal"}
         Whose tables show it; without either it stands in ``metrics.csv`` alone.
+    exists : callable
+        Takes the samples and returns whether there is such a figure of them; default: always.
+    of_band : str
+        What it is called of an output with a band; empty: the same.
     """
 
     of: type[Samples]
@@ -88,12 +106,14 @@ class Metric(Generic[Samples]):
     if_held: bool = False
     over_seeds: Literal["median", "largest", "total"] = "median"
     shown: Sequence[Literal["report", "terminal"]] = ("report", "terminal")
+    exists: Callable[[Samples], bool] = lambda _: True
+    of_band: str = ""
 
     def __str__(self) -> str:
         """Return what its name stands for, what it is, its unit and which values are better, in one line."""
         better = {"low": "lower is better", "high": "higher is better"}.get(self.better, "")
         of_signal = {"difference": "unit of the signal", "value": "unit of the signal", "1": ""}
-        unit = of_signal.get(self.unit, self.unit.replace("difference.s", "unit of the signal times s"))
+        unit = of_signal.get(self.unit, self.unit.replace("difference.", "unit of the signal times "))
         what = ": ".join(filter(None, (self.label, self.description)))
         return "; ".join(filter(None, (what, unit and f"[{unit}]", better)))
 
@@ -110,38 +130,68 @@ def split_key(key: str) -> tuple[str, str, str]:
     return name, signal, unit.removesuffix("]")
 
 
-def metric_name(key: str) -> str:
+def metric_name(key: str, keys: Iterable[str] = ()) -> str:
     """Return what a metric is called in sentences and tables, from its key or name: its label.
 
     It begins with a small letter, but for an acronym. A metric that is installed no more has its own name.
+    Among the ``keys`` of its run it is told whether its output has a band, of which errors are distances.
     """
-    label = metric_of(key).label
+    metric, signal = metric_of(key), split_key(key)[1]
+    is_of_band = bool(metric.of_band) and any(split_key(other)[:2] == (_BAND, signal) for other in keys)
+    label = metric.of_band if is_of_band else metric.label
     return label if label[1:2].isupper() else label[:1].lower() + label[1:]
 
 
-def headline(keys: Iterable[str]) -> tuple[str, ...]:
-    """Return the keys that runs are ranked by: the study's own cost if it has one, else mean errors."""
+def headline(keys: Iterable[str], ranking: Ranking | None = None) -> tuple[str, ...]:
+    """Return the keys that runs are ranked by.
+
+    Parameters
+    ----------
+    keys : iterable of str
+        Those of the runs.
+    ranking : {"error", "money", "pareto"}, optional
+        By the study's own cost if it has one, else mean errors; by money; or by money and discomfort, both;
+        default: the last where there are prices, else the first.
+    """
+    keys = [*keys]
     by_name = {
-        name: [key for key in keys if split_key(key)[0] == name] for name in ("cost", "mean_abs_error")
+        name: [key for key in keys if split_key(key)[0] == name]
+        for name in ("cost", "mean_abs_error", "money")
     }
+    money = by_name["money"] if ranking != "error" else []
+    if money:
+        return (*money, *(() if ranking == "money" else discomfort(keys)))
     return tuple(by_name["cost"] or by_name["mean_abs_error"])
+
+
+def discomfort(keys: Iterable[str]) -> tuple[str, ...]:
+    """Return what each output's discomfort is: the violation of its band, or its mean error without one."""
+    of_output: dict[str, str] = {}
+    for key in keys:
+        name, signal, _ = split_key(key)
+        if name == _BAND or (name == "mean_abs_error" and signal not in of_output):
+            of_output[signal] = key
+    return tuple(of_output.values())
 
 
 def compute_metrics(
     responses: Sequence[Response],
     actuations: Sequence[Actuation],
+    charged: Charged | None,
     step_times: StepTimes,
     cost: Mapping[str, Mapping[str, float]],
 ) -> dict[str, float]:
-    """Return the built-in metrics of a run: of every output, of every input, its cost, and of the steps."""
+    """Return the built-in metrics of a run: of its outputs and inputs, cost, what is paid for, steps."""
     table: dict[str, float] = {}
-    registry: Mapping[str, Metric[Any]] = METRICS
+    registry = {name: metric for name, metric in METRICS.items() if name not in _third_parties().metrics}
     whole = [WholeRun(responses, actuations, cost)] if cost else []
+    paid = [charged] if charged else []
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
-        for samples in (*responses, *actuations, *whole, step_times):
+        for samples in (*responses, *actuations, *whole, *paid, step_times):
             for name, metric in registry.items():
-                if isinstance(samples, metric.of):
-                    table[_key(name, metric.unit, samples)] = metric.compute(samples)
+                of_samples: Metric[Any] = metric
+                if isinstance(samples, metric.of) and of_samples.exists(samples):
+                    table[_key(name, metric.unit, samples)] = of_samples.compute(samples)
     return table
 
 
@@ -211,7 +261,8 @@ def describe_metric(plugin: Plugin) -> tuple[str, bool]:
 def _fault(plugin: Plugin) -> str:
     """Return why an installed object cannot be a metric; empty if it can."""
     metric = plugin.value
-    if plugin.name in METRICS:
+    # One that was called after an amount before there were prices goes on, in place of the built-in one.
+    if plugin.name in METRICS and METRICS[plugin.name].of is not Charged:
         return "there is a built-in metric of this name; choose another"
     if not re.fullmatch(r"[A-Za-z0-9_-]+", plugin.name):
         return "a name may have letters, digits, _ and - only"
@@ -229,10 +280,13 @@ def _fault(plugin: Plugin) -> str:
 
 
 def _key(name: str, unit: str, samples: Any) -> str:
+    if isinstance(samples, Charged) and unit == "money":
+        unit = samples.money
     if not isinstance(samples, SampledSignal):
         return f"{name} [{unit}]"
     shown = samples.variable.shown_in.name
-    units = {"difference": shown, "value": shown, "difference.s": f"{shown}.s".lstrip(".")}
+    units = {"difference": shown, "value": shown}
+    units |= {f"difference.{time}": f"{shown}.{time}".lstrip(".") for time in ("s", "h")}
     return f"{name}.{samples.variable.name} [{units.get(unit, unit) or '1'}]"
 
 
@@ -251,6 +305,10 @@ def _rms(values: FloatArray) -> float:
 
 def _percentile(values: FloatArray, percent: float) -> float:
     return float(np.percentile(values, percent)) if values.size else math.nan
+
+
+def _has_steps(response: Response) -> bool:
+    return not isinstance(response, BandResponse)
 
 
 def _settled_error(response: Response) -> float:
@@ -280,18 +338,28 @@ def _anticipation(response: Response) -> float:
     return response.sampling_time * _largest(np.array(known))
 
 
-METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Metric[StepTimes]] = {
+_Any = (
+    Metric[Response]
+    | Metric[BandResponse]
+    | Metric[Actuation]
+    | Metric[WholeRun]
+    | Metric[Charged]
+    | Metric[StepTimes]
+)
+METRICS: dict[str, _Any] = {
     "mean_abs_error": Metric(
         Response,
         "Mean absolute error",
         "mean of |reference - output| over the samples",
         lambda r: _mean(r.magnitude),
+        of_band="Mean distance to the band",
     ),
     "rmse": Metric(
         Response,
         "RMSE",
         "root mean square of reference - output",
         lambda r: _rms(r.error),
+        of_band="RMS distance to the band",
     ),
     "sum_abs_error": Metric(
         Response,
@@ -328,6 +396,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "magnitude of the mean error over the last fifth of the window of a constant reference, the largest",
         _settled_error,
         if_held=True,
+        exists=_has_steps,
     ),
     "settled_share": Metric(
         Response,
@@ -336,6 +405,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _settled_share,
         "%",
         if_held=True,
+        exists=_has_steps,
         shown=(),
     ),
     "overshoot": Metric(
@@ -345,6 +415,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _overshoot,
         "%",
         if_held=True,
+        exists=_has_steps,
         shown=("report",),
     ),
     "rise_time": Metric(
@@ -354,6 +425,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _rise_time,
         "s",
         if_held=True,
+        exists=_has_steps,
         shown=("report",),
     ),
     "settling_time": Metric(
@@ -363,6 +435,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _settling_time,
         "s",
         if_held=True,
+        exists=_has_steps,
         shown=("report",),
     ),
     "anticipation": Metric(
@@ -373,6 +446,30 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "s",
         better="",
         if_held=True,
+        exists=_has_steps,
+        shown=("report",),
+    ),
+    "band_violation": Metric(
+        BandResponse,
+        "Discomfort",
+        "integral of the distance to the band over time",
+        lambda r: _total(r.magnitude) * r.sampling_time / _HOUR,
+        "difference.h",
+    ),
+    "band_violation_time": Metric(
+        BandResponse,
+        "Time outside the band",
+        "time of samples with the output outside its band",
+        lambda r: float(np.count_nonzero(r.magnitude)) * r.sampling_time / _HOUR,
+        "h",
+        shown=("report",),
+    ),
+    "band_violation_max": Metric(
+        BandResponse,
+        "Largest distance to the band",
+        "how far the output got out of its band",
+        lambda r: _largest(r.magnitude),
+        over_seeds="largest",
         shown=("report",),
     ),
     "bound_violation_max": Metric(
@@ -436,6 +533,37 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "sum over the samples of the weighted squares of errors, inputs and input changes",
         WholeRun.cost,
         "1",
+    ),
+    "money": Metric(
+        Charged,
+        "Money",
+        "integral of the prices times what is paid for over time",
+        lambda c: c.total(c.price),
+        "money",
+    ),
+    "energy": Metric(
+        Charged,
+        "Energy",
+        "integral over time of what is paid for, where that is energy",
+        Charged.total_energy,
+        "kWh",
+        exists=lambda c: c.has_energy,
+    ),
+    "emissions": Metric(
+        Charged,
+        "Emissions",
+        "integral over time of what is emitted by what is paid for",
+        lambda c: c.total(c.emission),
+        "kg",
+        exists=lambda c: c.has_emissions,
+    ),
+    "peak": Metric(
+        Charged,
+        "Peak power",
+        "largest mean power of all energy that is paid for over 15 minutes, counted from the run's start",
+        Charged.peak,
+        "kW",
+        exists=lambda c: c.has_energy,
     ),
     "solve_time_mean": Metric(
         StepTimes,

@@ -44,6 +44,11 @@ class Price(Section):
     emissions_unit: str = setting("kg/kWh", doc="unit of the emissions")
 
     @property
+    def money(self) -> str:
+        """What is paid with."""
+        return self.unit.partition("/")[0].strip()
+
+    @property
     def amount(self) -> str:
         """Unit of the amounts that are paid for."""
         return self.unit.partition("/")[2].strip() or "1"
@@ -75,14 +80,13 @@ class Price(Section):
         ConfigError
             Its unit over time is not that of the amount.
         """
-        money = self.unit.partition("/")[0].strip()
         over_time = f"{variable.unit}.s" if variable.unit not in ("", "1") else "s"
         try:
             rate = display_unit(over_time, self.amount).factor
         except ValueError as error:
             what = f'a price in "{self.unit}" does not fit {self.signal}: {variable.unit or 1} over time'
             raise ConfigError(f"prices: {name}: {what} is not an amount in {self.amount}") from error
-        return Charge(name, self.signal, rate * self.factor, money, self.known, self.amount)
+        return Charge(name, self.signal, rate * self.factor, self.money, self.known, self.amount)
 
 
 def _values(variable: Variable, signal: float | Reference, what: str, time: FloatArray) -> FloatArray:

@@ -1,12 +1,12 @@
-"""What metrics are computed from: the response of outputs and inputs, steps of the reference, step times.
+"""What metrics are computed from: responses of outputs and inputs, what is paid for, step times.
 
 The *held* samples are those whose inputs acted on the plant: the last sample of a completed run, at which the
 run ends, is left out.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Self
@@ -14,7 +14,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim.controller import Charge
 from ddpc_cosim.variables import FloatArray, Variable
+from fmu_plants.units import display_unit
 
 _SETTLED_FRACTION = 0.2
 _SETTLING_BAND = 0.05
@@ -28,9 +30,14 @@ _AT_REST = 1e-4
 """Of its largest magnitude: an output that moves by less is at rest, as operating points are rounded."""
 _FEWEST_FORETOLD = 10
 """Fewest samples from which it can be told what follows from the two samples before."""
+_QUARTER_HOUR, _HOUR = 900.0, 3600.0  # s
 _TRIMMED = 0.05
 _OF_TRIMMED = 1.148
 """From the standard deviation of Gaussian noise without its largest 5 % to that with it."""
+
+
+Limits = tuple[float, float] | tuple[FloatArray, FloatArray]
+"""Lower and upper limit of a signal; arrays of shape (K,) where they change with time."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +50,15 @@ class SampledSignal:
         The controlled output or the input.
     values : array, shape (K,)
         Its values, in its unit.
-    limits : tuple of float
-        Its bounds in the run, in its unit.
+    limits : tuple of float or array, shape (K,)
+        Its bounds in the run, in its unit; arrays where they change with time.
     sampling_time : float
         Time between samples [s].
     """
 
     variable: Variable
     values: FloatArray
-    limits: tuple[float, float]
+    limits: Limits
     sampling_time: float
 
 
@@ -60,12 +67,13 @@ class Response(SampledSignal):
     """A controlled output over the held samples, and its reference, shape (K,).
 
     ``preview`` is that of :class:`ddpc_cosim.MetricSettings`, ``ahead`` how much of that the run's own
-    controller saw.
+    controller saw. ``disturbed``, shape (K,), says at which samples a declared disturbance has moved.
     """
 
     reference: FloatArray
     preview: int
     ahead: int
+    disturbed: NDArray[np.bool_] | None = None
 
     @cached_property
     def error(self) -> FloatArray:
@@ -125,25 +133,110 @@ class Response(SampledSignal):
         r, y = self.reference, self.values
         if not len(y):
             return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
-        ends = [
-            stretch.end_window(settling=not self.steps or not math.isnan(stretch.before))
-            for stretch in self.stretches
-        ]
-        if not ends:
-            ends = [EndWindow.of(r - y, slice(len(y) - max(round(_SETTLED_FRACTION * len(y)), 1), len(y)))]
         at_rest = _AT_REST * float(np.abs(np.append(r, y)).max())
-        travel, deviation = float(np.ptp(np.append(r, y[0]))), float(np.abs(y - y[0]).max())
+        deviation = self._deviation
         return Tracking(
             output=self.variable.name,
-            travel=travel if np.ptp(r) > 0.0 or travel > at_rest else 0.0,
-            room=float(self.limits[1] - self.limits[0]),
+            travel=self._travel(at_rest),
+            room=float(np.mean(self.limits[1] - self.limits[0])),
             nominal=max(self.variable.nominal, float(np.abs(r).max())),
             deviation=deviation if deviation > at_rest else 0.0,
             scatter=_scatter(y),
             mean_abs_error=float(np.abs(r - y).mean()),
             factor=abs(self.variable.shown_in.factor),
-            ends=tuple(ends),
+            ends=tuple(self._ends) or (self._end(self._last_fifth),),
+            width=self._width,
+            is_disturbed=self.disturbed is not None,
         )
+
+    def _travel(self, at_rest: float) -> float:
+        """Return how far the reference moves, where the output begins included."""
+        travel = float(np.ptp(np.append(self.reference, self.values[0])))
+        return travel if np.ptp(self.reference) > 0.0 or travel > at_rest else 0.0
+
+    @property
+    def _deviation(self) -> float:
+        return float(np.abs(self.values - self.values[0]).max())
+
+    @property
+    def _width(self) -> float | None:
+        return None
+
+    @property
+    def _ends(self) -> list["EndWindow"]:
+        """The ends of the stretches of constant reference; a step is what it does, not how a run begins."""
+        return [
+            self._end(
+                stretch.last_fifth,
+                abs(stretch.size) if stretch.first > 0 and not math.isnan(stretch.before) else 0.0,
+                settling=not self.steps or not math.isnan(stretch.before),
+            )
+            for stretch in self.stretches
+        ]
+
+    @property
+    def _last_fifth(self) -> slice:
+        rows = len(self.values)
+        return slice(rows - max(round(_SETTLED_FRACTION * rows), 1), rows)
+
+    def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
+        moves = self.disturbed is not None and bool(self.disturbed[rows].any())
+        return EndWindow.of(self.reference - self.values, rows, step, settling=settling, disturbed=moves)
+
+
+@dataclass(frozen=True)
+class BandResponse(Response):
+    """A controlled output that is wanted within a band.
+
+    Its reference is the point of the band nearest to the output, so that errors are distances to the band.
+    It has no steps, and no figures of the step response.
+
+    Parameters
+    ----------
+    band : array, shape (K, 2)
+        Lower and upper edge, in the output's unit.
+    """
+
+    band: FloatArray = field(kw_only=True)
+
+    @property
+    def _moves(self) -> NDArray[np.bool_]:
+        smallest = 1e-9 * np.ptp(self.band) + 1e-12 * np.abs(self.band).max() if self.band.size else 0.0
+        moves: NDArray[np.bool_] = np.any(np.abs(np.diff(self.band, axis=0)) > smallest, axis=1)
+        return moves
+
+    def _value_before(self, first: int, rows_before: int) -> float:
+        return math.nan
+
+    def _travel(self, at_rest: float) -> float:
+        """Return how far the band makes the output move at least, from where it begins on."""
+        highest = float(max(self.band[:, 0].max(), self.values[0]))
+        travel = highest - float(min(self.band[:, 1].min(), self.values[0]))
+        return travel if travel > at_rest else 0.0
+
+    @property
+    def _deviation(self) -> float:
+        return float(np.abs(self.reference - self.values).max())
+
+    @property
+    def _width(self) -> float | None:
+        return float(np.mean(self.band[:, 1] - self.band[:, 0]))
+
+    @property
+    def _ends(self) -> list["EndWindow"]:
+        """The ends of the stretches of constant edges."""
+        return [
+            self._end(stretch.last_fifth, self._size(stretch.first), settling=True)
+            for stretch in self.stretches
+        ]
+
+    def _size(self, first: int) -> float:
+        """Return the width of the band at a row, or its distance to the band before, the larger."""
+        (lower, upper), (lower_before, upper_before) = self.band[first], self.band[max(first - 1, 0)]
+        return float(max(upper - lower, lower - upper_before, lower_before - upper))
+
+    def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
+        return EndWindow.of(np.abs(self.reference - self.values), rows, step, settling=settling)
 
 
 def _scatter(y: FloatArray) -> float:
@@ -170,10 +263,13 @@ class EndWindow:
     error, magnitude : float
         Magnitude of the mean error, and mean of the error's magnitude, in the output's unit.
     step : float
-        By how much the reference stepped to this stretch, in the output's unit; 0 where it did not.
+        By how much the reference stepped to this stretch, in the output's unit; 0 where it did not. Of a
+        band its width, or its distance to the one before where that is larger.
     settling : bool
         Whether what is left there decides if the run settles: the reference steps to it, or is constant and
         steps nowhere.
+    disturbed : bool
+        Whether a declared disturbance moves there: then there is nothing to settle to.
     """
 
     rows: int
@@ -181,12 +277,22 @@ class EndWindow:
     magnitude: float
     step: float = 0.0
     settling: bool = False
+    disturbed: bool = False
 
     @classmethod
-    def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, settling: bool = False) -> Self:
+    def of(
+        cls,
+        error: FloatArray,
+        rows: slice,
+        step: float = 0.0,
+        *,
+        settling: bool = False,
+        disturbed: bool = False,
+    ) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
         window = error[rows]
-        return cls(len(window), abs(float(window.mean())), float(np.abs(window).mean()), step, settling)
+        mean, magnitude = abs(float(window.mean())), float(np.abs(window).mean())
+        return cls(len(window), mean, magnitude, step, settling, disturbed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,12 +305,14 @@ class Tracking:
         Its name.
     travel : float
         How far the reference moves, where the output begins included: the largest less the smallest value.
+        Of a band, how far the output has to move for it.
     room : float
         Width of its limits; infinite without.
     nominal : float
         Its nominal value, or the largest magnitude of its reference where that is larger.
     deviation : float
-        How far it goes from where it begins; 0 where that is less than 0.01 % of its largest magnitude.
+        How far it goes from where it begins, or gets from its band; 0 where that is less than 0.01 % of its
+        largest magnitude.
     scatter : float
         Standard deviation of what cannot be told from the two samples before: of the residuals of a linear
         prediction from them, without the largest 5 %, which are steps. It is that of the noise that acts on
@@ -215,6 +323,10 @@ class Tracking:
         What a difference is multiplied by where it is shown in the display unit.
     ends : tuple of EndWindow
         The ends of the stretches of constant reference; that of the run where there is none.
+    width : float, optional
+        Mean width of its band; None where it has a reference.
+    is_disturbed : bool
+        Whether the problem declares disturbances.
     """
 
     output: str
@@ -226,11 +338,24 @@ class Tracking:
     mean_abs_error: float
     factor: float = 1.0
     ends: tuple[EndWindow, ...] = ()
+    width: float | None = None
+    is_disturbed: bool = False
 
     @property
     def is_regulation(self) -> bool:
         """Whether the reference is constant."""
         return all(end.settling and not end.step for end in self.ends)
+
+    def written(self) -> dict[str, Any]:
+        """Return what :meth:`read` reads: what only bands and declared disturbances have, where they are."""
+        table = asdict(self)
+        for key in ("width", "is_disturbed"):
+            if table[key] is None or table[key] is False:
+                del table[key]
+        table["ends"] = [
+            {key: value for key, value in end.items() if key != "disturbed" or value} for end in table["ends"]
+        ]
+        return table
 
     @classmethod
     def read(cls, table: dict[str, Any]) -> Self:
@@ -243,10 +368,14 @@ class Tracking:
                 float(end["magnitude"]),
                 float(end["step"]),
                 bool(end["settling"]),
+                bool(end.get("disturbed", False)),
             )
             for end in table["ends"]
         )
-        return cls(output=str(table["output"]), ends=ends, **numbers)
+        width = float(table["width"]) if "width" in table else None
+        is_disturbed = bool(table.get("is_disturbed", False))
+        output = str(table["output"])
+        return cls(output=output, ends=ends, width=width, is_disturbed=is_disturbed, **numbers)
 
 
 _NUMBERS = ("travel", "room", "nominal", "deviation", "scatter", "mean_abs_error", "factor")
@@ -269,17 +398,16 @@ class Stretch:
         """By how much the reference stepped, in the output's unit."""
         return float(self.response.reference[self.first]) - self.before
 
-    def end_window(self, *, settling: bool = False) -> EndWindow:
-        """Return the last fifth of the window; a step is what the reference does, not how the run begins."""
-        rows = round(_SETTLED_FRACTION * (self.end - self.first))
-        step = abs(self.size) if self.first > 0 and not math.isnan(self.before) else 0.0
-        error = self.response.reference - self.response.values
-        return EndWindow.of(error, slice(self.end - rows, self.end), step, settling=settling)
+    @property
+    def last_fifth(self) -> slice:
+        """The last fifth of the window."""
+        return slice(self.end - round(_SETTLED_FRACTION * (self.end - self.first)), self.end)
 
     @property
     def settled_error(self) -> float:
         """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        return self.end_window().error
+        response = self.response
+        return EndWindow.of(response.reference - response.values, self.last_fifth).error
 
     @property
     def overshoot(self) -> float:
@@ -330,8 +458,9 @@ class Actuation(SampledSignal):
 
     @property
     def rest(self) -> float:
-        """Its value at rest, as far as the limits allow, in its unit."""
-        return float(np.clip(self.variable.start, *self.limits))
+        """Its value at rest, as far as the limits of the first sample allow, in its unit."""
+        lower, upper = (float(np.ravel(limit)[0]) for limit in self.limits)
+        return float(np.clip(self.variable.start, lower, upper))
 
     @cached_property
     def change(self) -> FloatArray:
@@ -342,8 +471,119 @@ class Actuation(SampledSignal):
     def at_limit(self) -> NDArray[np.bool_]:
         """Whether the input is at one of its limits, at every sample."""
         span = self.limits[1] - self.limits[0]
-        tolerance = 1e-9 * span if math.isfinite(span) else 0.0
+        tolerance = np.where(np.isfinite(span), 1e-9 * span, 0.0)
         return (self.values >= self.limits[1] - tolerance) | (self.values <= self.limits[0] + tolerance)
+
+
+@dataclass(frozen=True)
+class Charged:
+    """What is paid for in a run, over the sampling intervals that its inputs were held for.
+
+    Parameters
+    ----------
+    money : str
+        What is paid with.
+    amounts : array, shape (K, n)
+        What is paid for in each interval, a column per price.
+    price, emission : array, shape (K, n)
+        Money, and kg emitted, per amount, in each interval.
+    energy : array, shape (n,)
+        kWh per amount; NaN of an amount that is not an energy.
+    sampling_time : float
+        Length of an interval [s].
+    """
+
+    money: str
+    amounts: FloatArray
+    price: FloatArray
+    emission: FloatArray
+    energy: FloatArray
+    sampling_time: float
+
+    @classmethod
+    def of(
+        cls,
+        charges: Sequence[Charge],
+        charged: FloatArray,
+        held: Collection[str],
+        price: FloatArray,
+        emission: FloatArray,
+        sampling_time: float,
+    ) -> Self:
+        """Integrate signals over the intervals of a run.
+
+        A signal that is held, as an input is, is a constant in each; of others it is a straight line from
+        sample to sample, and a constant in an interval that a fault has ended.
+
+        Parameters
+        ----------
+        charges : sequence of Charge
+            What the n columns are.
+        charged : array, shape (K or K + 1, n)
+            The signals at the samples, that at the end of the last interval included where there is one.
+        held : collection of str
+            The signals that are held.
+        price, emission : array, shape (K, n)
+            As of this class.
+        sampling_time : float
+            Length of an interval [s].
+        """
+        rows = len(price)
+        ends = np.vstack([charged, charged[-1:]])[1 : rows + 1]
+        mean = (charged[:rows] + ends) / 2.0
+        is_held = [charge.signal in held for charge in charges]
+        mean[:, is_held] = charged[:rows, is_held]
+        rates = np.array([charge.rate for charge in charges])
+        energy = np.array([_in_kwh(charge.amount) for charge in charges])
+        money = " + ".join(dict.fromkeys(charge.unit for charge in charges))
+        return cls(money, mean * rates * sampling_time, price, emission, energy, sampling_time)
+
+    @property
+    def _energies(self) -> FloatArray:
+        """Return the sum of the amounts that are energies, in each interval [kWh], shape (K,)."""
+        is_energy = np.isfinite(self.energy)
+        return self.amounts[:, is_energy] @ self.energy[is_energy]
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether an amount is an energy."""
+        return bool(np.isfinite(self.energy).any())
+
+    @property
+    def has_emissions(self) -> bool:
+        """Whether anything is emitted per amount."""
+        return bool(self.emission.any())
+
+    def total(self, per_amount: FloatArray) -> float:
+        """Return the sum over all intervals of something per amount, such as ``price``, shape (K, n)."""
+        return _total((self.amounts * per_amount).ravel())
+
+    def total_energy(self) -> float:
+        """Return the amounts that are energies, together [kWh]."""
+        return _total(self._energies)
+
+    def peak(self) -> float:
+        """Return the largest mean power of all energies over 15 minutes [kW].
+
+        The quarters of an hour follow each other from the run's start; one that the run does not complete is
+        left out, and of a shorter run it is the mean. Power is constant in each sampling interval, also where
+        that is longer than a quarter of an hour.
+        """
+        if not len(self.amounts):
+            return math.nan
+        times = self.sampling_time * np.arange(len(self.amounts) + 1)
+        quarters = math.floor(times[-1] / _QUARTER_HOUR * (1.0 + 1e-12))
+        edges = _QUARTER_HOUR * np.arange(quarters + 1) if quarters else times[[0, -1]]
+        energy = np.interp(edges, times, np.append(0.0, np.cumsum(self._energies)))
+        return float((np.diff(energy) / np.diff(edges)).max()) * _HOUR
+
+
+def _in_kwh(amount: str) -> float:
+    """Return how many kWh a unit is; NaN if it is not one of energy."""
+    try:
+        return display_unit(amount, "kWh").factor
+    except ValueError:
+        return math.nan
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,8 @@ class SettingInfo:
         """What it is, with its unit, in words."""
         if self.unit == SIGNAL:
             return f"{self.doc}, in the unit of the signal"
-        return f"{self.doc} [{self.unit}]" if self.unit else self.doc
+        what, mark, more = self.doc.partition(";")
+        return f"{what} [{self.unit}]{mark}{more}" if self.unit else self.doc
 
     @property
     def allowed(self) -> str:

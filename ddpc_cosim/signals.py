@@ -12,6 +12,7 @@ import numpy as np
 
 from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
+from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
@@ -143,6 +144,29 @@ class Signal(Section, Reference):
 def in_unit_of(variable: Variable, signal: Reference, *, difference: bool = False) -> Reference:
     """Return a signal of any class in a variable's own unit; errors as of :meth:`Signal.in_unit`."""
     return signal.in_unit(variable, difference=difference) if isinstance(signal, Signal) else signal
+
+
+def level_in_unit(variable: Variable, level: float | Reference, unit: str) -> Reference:
+    """Return a number or a signal as a signal in a variable's own unit.
+
+    Parameters
+    ----------
+    variable : Variable
+        What it is a level of.
+    level : float or Reference
+        The number or the signal.
+    unit : str
+        Its unit, where it has none of its own; empty: the variable's.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As of :meth:`Signal.in_unit`.
+    """
+    signal = level if isinstance(level, Reference) else Constant(float(level))
+    if unit and isinstance(signal, Signal) and not signal.unit:
+        signal = replace(signal, unit=unit)
+    return in_unit_of(variable, signal)
 
 
 def shown_without(value: Any, names: Sequence[str]) -> str:
@@ -374,9 +398,8 @@ class SignalFromFile(_OfFile):
         begin, end, early = float(time[0]), float(time[-1]) + held, _RELATIVE_TIME_TOLERANCE * abs(last)
         if begin <= first + early and last <= end + early:
             return ""
-        return (
-            f"{self.file} tells it from t = {begin:g} s to {end:g} s; needed: from {first:g} s to {last:g} s"
-        )
+        known = f"{self.file} tells it from t = {in_words(begin)} to {in_words(end)}"
+        return f"{known}; needed: from {in_words(first)} to {in_words(last)}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -434,18 +457,11 @@ class Band(Section):
 
     lower: float | ReferenceSignal = setting(doc="lower edge", unit=SIGNAL)
     upper: float | ReferenceSignal = setting(doc="upper edge", unit=SIGNAL)
-    unit: str = setting("", doc="unit of the edges; empty: the variable's own")
+    unit: str = setting("", doc="unit of the edges; empty: the variable's own", key=None)
 
     def edges(self, variable: Variable) -> tuple[Reference, Reference]:
         """Return both edges in a variable's own unit; errors as of :meth:`Signal.in_unit`."""
-        lower, upper = (self._edge(edge, variable) for edge in (self.lower, self.upper))
-        return lower, upper
-
-    def _edge(self, edge: float | Reference, variable: Variable) -> Reference:
-        signal = edge if isinstance(edge, Reference) else Constant(float(edge))
-        if self.unit and isinstance(signal, Signal) and not signal.unit:
-            signal = replace(signal, unit=self.unit)
-        return in_unit_of(variable, signal)
+        return level_in_unit(variable, self.lower, self.unit), level_in_unit(variable, self.upper, self.unit)
 
     def __repr__(self) -> str:
         return shown_without(self, () if self.unit else ("unit",))

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
 from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
-from ddpc_cosim.responses import Actuation, Response, StepTimes, Tracking
+from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
 from ddpc_cosim.tables import plain_table
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable, names
@@ -202,14 +203,14 @@ class Trace:
             A metric of a third party fails; its value is NaN.
         """
         settings = settings or MetricSettings(self.preview)
-        rows, h, bounds = slice(0, self.held), self.sampling_time, self.bounds
-        u_limits = zip(bounds.u_min, bounds.u_max, strict=True)
+        rows, h = slice(0, self.held), self.sampling_time
         table = compute_metrics(
             self._responses(settings),
             [
-                Actuation(variable, self.u[rows, i], limits, h)
-                for i, (variable, limits) in enumerate(zip(self.inputs, u_limits, strict=True))
+                Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
+                for i, variable in enumerate(self.inputs)
             ],
+            self._charged(),
             StepTimes(self.solve_time, h, self.failures, len(self)),
             settings.cost,
         )
@@ -226,14 +227,45 @@ class Trace:
             return tuple(response.tracking for response in self._responses(settings))
 
     def _responses(self, settings: MetricSettings) -> list[Response]:
-        rows, h = slice(0, self.held), self.sampling_time
-        limits = zip(self.bounds.y_min, self.bounds.y_max, strict=True)
-        return [
-            Response(
-                output, self.y[rows, i], ends, h, self.reference[rows, i], settings.preview, self.preview
-            )
-            for i, (output, ends) in enumerate(zip(self.outputs, limits, strict=True))
-        ]
+        return [self._response(i, output, settings) for i, output in enumerate(self.outputs)]
+
+    def _response(self, i: int, output: Variable, settings: MetricSettings) -> Response:
+        rows = slice(0, self.held)
+        of = (output, self.y[rows, i], self._limits(output, i), self.sampling_time, self.reference[rows, i])
+        if output.name in self.bands:
+            band = self.band[rows, i]
+            return BandResponse(*of, settings.preview, self.preview, self._disturbed(), band=band)
+        return Response(*of, settings.preview, self.preview, self._disturbed())
+
+    def _limits(self, variable: Variable, i: int, *, of_input: bool = False) -> Limits:
+        """Return the limits of an input or output at the held samples, arrays where they move."""
+        if variable.name in self.moving_limits and self.held:
+            limits = (self.input_limits if of_input else self.output_limits)[: self.held, i]
+            return limits[:, 0], limits[:, 1]
+        bounds = self.bounds
+        ends = (bounds.u_min, bounds.u_max) if of_input else (bounds.y_min, bounds.y_max)
+        return float(ends[0][i]), float(ends[1][i])
+
+    def _disturbed(self) -> NDArray[np.bool_] | None:
+        """Return at which held samples a disturbance has another value than at the one before."""
+        if not self.disturbances:
+            return None
+        applied = dict(zip(names(self.changed_inputs), self.applied.T, strict=True))
+        moves = np.zeros(self.held, dtype=bool)
+        for disturbance, measured in zip(self.disturbances, self.d.T, strict=True):
+            values = applied.get(disturbance.name, measured)[: self.held]
+            moves[1:] |= np.abs(np.diff(values)) > 1e-9 * np.ptp(values) if len(values) else False
+        return moves
+
+    def _charged(self) -> Charged | None:
+        """Return what is paid for; None without prices."""
+        if not self.charges:
+            return None
+        rows, held = slice(0, self.held), {*names(self.inputs), *names(self.changed_inputs)}
+        charged = self.charged[: self.held + 1]
+        return Charged.of(
+            self.charges, charged, held, self.price[rows], self.emission[rows], self.sampling_time
+        )
 
     def plot(self) -> "altair.VConcatChart":
         """Return the samples as a chart: outputs with references and limits, inputs below, in display units.

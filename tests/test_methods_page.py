@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 import pytest
 
-from ddpc_cosim import Variable, setting
+from ddpc_cosim import KnownDisturbance, Price, Variable, setting
 from ddpc_cosim.codec import Kinds, declared_fields
 from ddpc_cosim.plugins import plugin_names
 from ddpc_cosim.study.file_format.sections import (
@@ -66,7 +66,8 @@ def classes_below(kind: Any) -> Iterator[type[Any]]:
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             yield from classes_below(hint)
         for inner in get_args(hint):
-            hints += inner.classes.values() if isinstance(inner, Kinds) else [inner]
+            is_choice = isinstance(inner, Kinds)
+            hints += [*inner.classes.values(), *inner.marked.values()] if is_choice else [inner]
 
 
 def test_every_table_of_a_study_file_has_its_keys_on_their_page() -> None:
@@ -84,6 +85,8 @@ def test_the_overview_of_sections_names_every_key() -> None:
         "plant": PlantSection,
         "loop": LoopSection,
         "bounds": BoundsSection,
+        "disturbances": KnownDisturbance,
+        "prices": Price,
         "recording": RecordingSection,
         "scenarios": ScenarioSection,
         "controllers": ControllerSection,

@@ -36,6 +36,11 @@ def prior_info(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
     return {"measures": ", ".join(named), "plant": plant}
 
 
+def without_forecast(facts: dict[str, str]) -> dict[str, str]:
+    """Return the facts of a controller that makes nothing of what is known ahead of disturbances."""
+    return facts | {"forecast": "not used"}
+
+
 def weight_matrices(**weights: tuple[Weight, int]) -> list[FloatArray]:
     """Return weights as matrices, in the order given.
 

@@ -13,17 +13,18 @@ by regularised least squares over the recorded samples (M. Korda, I. Mezic, Line
 dynamical systems: Koopman operator meets model predictive control, Automatica 93, 2018,
 doi:10.1016/j.automatica.2018.03.046). Without observables z = x: dynamic mode decomposition with control
 (J. L. Proctor, S. L. Brunton, J. N. Kutz, SIAM J. Applied Dynamical Systems 15(1), 2016,
-doi:10.1137/15M1013857).
+doi:10.1137/15M1013857). Of known disturbances d there is ``E d + E_1 d+ + z_0`` in z+ too, where d+ is what
+is measured of them at the next sample: that can be the value of the interval before.
 """
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_info
+from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import (
     Dictionary,
     ThinPlate,
@@ -66,12 +67,34 @@ StateKind = Literal["measured", "delays"]
 STATE_KINDS = ("measured", "delays")
 
 _NEGLIGIBLE = 1e-12
+_NONE: FloatArray = np.empty(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiftedModel(SampledModel):
+    """An EDMD model, of the states ``z - at_once d``: what is measured at a sample does not move them.
+
+    Parameters
+    ----------
+    at_once : array, shape (n_z, n_d)
+        E_1.
+    constant : array, shape (n_z,)
+        z_0.
+    """
+
+    at_once: FloatArray
+    constant: FloatArray
 
 
 def fit_lifted_model(
-    z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0, seams: Sequence[int] = ()
-) -> SampledModel:
-    """Fit ``z+ = A z + B u`` by regularised least squares, and ``y = C z``.
+    z: FloatArray,
+    u: FloatArray,
+    y: FloatArray,
+    ridge: float = 0.0,
+    seams: Sequence[int] = (),
+    d: FloatArray | None = None,
+) -> LiftedModel:
+    """Fit ``z+ = A z + B u + E d + E_1 d+ + z_0`` by regularised least squares, and ``y = C z``.
 
     C reads off the outputs that are among the lifted states, and is fitted to others.
 
@@ -83,10 +106,12 @@ def fit_lifted_model(
         Weight of the squared coefficients, for observables and inputs scaled to unit size.
     seams : sequence of int
         The first sample of every piece but the first; none is predicted from the one before a seam.
+    d : array, shape (T, n_d), optional
+        Known disturbances; without, the model has neither E nor z_0.
 
     Returns
     -------
-    model : SampledModel
+    model : LiftedModel
         ``one_step_error`` is the root mean square of the prediction errors of the state predicted worst.
 
     Raises
@@ -96,20 +121,34 @@ def fit_lifted_model(
     """
     now = window_starts(len(z), 2, seams)
     require_informative(u[now], z[now], "EDMD")
-    size = _root_mean_square(np.hstack([z, u]))
-    scaled = np.hstack([z, u]) / size
-    n_z = z.shape[1]
-    dynamics = _least_squares(scaled[now], z[now + 1] / size[:n_z], ridge)
-    shown = _least_squares(scaled[:, :n_z], y, 0.0).T / size[:n_z]
-    both = (dynamics.T / size) * size[:n_z, np.newaxis]
-    a, b, c = both[:, :n_z], both[:, n_z:], _reading_off(shown, z, y)
-    errors = z[now + 1] - np.hstack([z, u])[now] @ both.T
+    n_z, m, n_d = z.shape[1], u.shape[1], 0 if d is None else d.shape[1]
+    known, d_0 = np.hstack([z, u])[now], np.zeros(n_d)
+    if d is not None:  # off its mean: what it is on average is told from what it does
+        d_0 = d.mean(axis=0)
+        known = np.hstack([known, d[now] - d_0, d[now + 1] - d_0, np.ones((len(now), 1))])
+    every = np.hstack([z, u])
+    size = np.append(_root_mean_square(every), _root_mean_square(known[:, n_z + m :]))
+    dynamics = _least_squares(known / size, z[now + 1] / size[:n_z], ridge)
+    shown = _least_squares(every[:, :n_z] / size[:n_z], y, 0.0).T / size[:n_z]
+    whole = (dynamics.T / size) * size[:n_z, np.newaxis]
+    a, b, e, at_once, constant = np.split(whole, np.cumsum([n_z, m, n_d, n_d]), axis=1)
+    c = _reading_off(shown, z, y)
+    errors = z[now + 1] - known @ whole.T
     fit = {"one_step_error": float(_root_mean_square(errors).max())}
-    return SampledModel(a, b, c, np.zeros(u.shape[1]), np.zeros(y.shape[1]), len(z), fit)
+    return LiftedModel(
+        *(a, b, c, np.zeros(m), np.zeros(y.shape[1]), len(z), fit),
+        e=e + a @ at_once,
+        f=c @ at_once,
+        d_0=np.zeros(n_d),
+        at_once=at_once,
+        constant=constant.sum(axis=1) - (e + at_once) @ d_0,
+    )
 
 
 class LiftedState:
     """The lifted state z of a loop: what is measured, or outputs and inputs with their past, and observables.
+
+    Outputs and inputs with their past have that of known disturbances beside them, which is not lifted.
 
     Parameters
     ----------
@@ -153,21 +192,35 @@ class LiftedState:
         self._size = states.shape[1]
         self._states = StateWindow(states[-1 - memory :])
         self.skipped = delays + memory
+        # Of a disturbance whose state is measured nothing is left to remember.
+        kept = delays if recording.d.shape[1] else 0
+        d_before = np.vstack([recording.d[:1], recording.d[:-1]])
+        self._d = StateWindow(d_before[len(recording) - kept :])
         embedded = embed(states, memory)[window_starts(len(recording), self.skipped + 1, recording.seams)]
         self._observables = dictionary.draw(embedded, rng)
         self.recorded = self._lift(embedded)
+        if kept:
+            d_past = embed(d_before, kept - 1)
+            later = window_starts(len(recording), self.skipped + 1, recording.seams) + self.skipped
+            self.recorded = np.hstack([self.recorded, d_past[later - (kept - 1)]])
 
-    def rest(self, y: FloatArray, measured: FloatArray, u: FloatArray) -> FloatArray:
-        """Suppose that y, shape (p,), measured, (q,), and u, (m,), have always been so; return z."""
+    def rest(self, y: FloatArray, measured: FloatArray, u: FloatArray, d: FloatArray = _NONE) -> FloatArray:
+        """Suppose that y, (p,), measured, (q,), u, (m,), and d, (n_d,), have always been so; return z."""
+        d_past = self._d.fill(d)
         if self._kind == "measured":
             return self._lift(self._states.fill(measured))
-        return self._lift(self._states.fill(np.concatenate([self._y.fill(y), self._u.fill(u)])))
+        past = np.concatenate([self._y.fill(y), self._u.fill(u)])
+        return np.append(self._lift(self._states.fill(past)), d_past)
 
-    def follow(self, y: FloatArray, measured: FloatArray, last_u: FloatArray) -> FloatArray:
-        """Take the next sample and the inputs applied before it; return z, shape (n_z,)."""
+    def follow(
+        self, y: FloatArray, measured: FloatArray, last_u: FloatArray, last_d: FloatArray = _NONE
+    ) -> FloatArray:
+        """Take the next sample, the inputs applied and the disturbances before it; return z, (n_z,)."""
         if self._kind == "measured":
             return self._lift(self._states.append(measured))
-        return self._lift(self._states.append(np.concatenate([self._y.append(y), self._u.append(last_u)])))
+        d_past = self._d.append(last_d) if len(self._d.newest_first) else _NONE
+        past = np.concatenate([self._y.append(y), self._u.append(last_u)])
+        return np.append(self._lift(self._states.append(past)), d_past)
 
     def members(self, code: Code) -> dict[str, object]:
         """Add the lift to code in C; return the members of a structure that describe it."""
@@ -288,8 +341,10 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         self._lifted = LiftedState(self.state, self.delays, self.dictionary, recording, rng)
         z, recording = self._lifted.recorded, without_first(recording, self._lifted.skipped)
         n_z, m, seams = z.shape[1], len(loop.inputs), recording.seams
-        require_samples(count_windows(len(z), 2, seams), n_z + m, "KoopmanMPC")
-        self._model = model = fit_lifted_model(z, recording.u, recording.y, self.ridge, seams)
+        require_samples(count_windows(len(z), 2, seams), n_z + m + 2 * len(loop.disturbances), "KoopmanMPC")
+        self._disturbed, self._last_d = bool(loop.disturbances), np.zeros(len(loop.disturbances))
+        self._model = model = self._fit(z, recording)
+        self._disturbance = model.constant
         memory = Span(1, 'state = "measured"', 'set state = "delays"')
         if self.state == "delays":
             memory = Span(self.delays + 1, "delays")
@@ -298,13 +353,17 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         # The state of the problem is (z, w).
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
-        self._disturbance = np.zeros(n_z)
+        e = np.vstack([model.e, np.zeros_like(model.e)])
         self._predicted: FloatArray | None = None
         self._u = resting_input(loop)
-        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales, self._u)
+        self._predictor = Predictor(
+            *(a, b, c, e, model.f), self, loop, self._scales, self._method_loop.controlled
+        )
         if loop.continues_recording:
-            self._u = recording.u[-1].copy()
-            self._predicted = model.a @ z[-1] + model.b @ self._u
+            self._u, self._last_d = recording.u[-1].copy(), recording.d[-1]
+            self._predict(z[-1])
+        elif loop.past:
+            self._take_over(loop.past)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
@@ -312,22 +371,42 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         missing = "" if np.isfinite(lifted).all() else PREDICTED
         if missing and self._predicted is None:
             return Action(self._u.copy(), missing)
-        z = self._state(sample, bool(missing))
-        u, fault = self._predictor.solve(np.concatenate([z, self._disturbance]), self._u, sample.reference)
-        self._predicted = self._model.a @ z + self._model.b @ u + self._disturbance
-        self._u = u.copy()
+        d = sample.disturbance if self._disturbed else _NONE
+        z = self._state(sample.y, sample.measured, d, bool(missing))
+        u, fault = self._predictor.solve(np.concatenate([z, self._disturbance]), self._u, sample)
+        self._u, self._last_d = u.copy(), d
+        self._predict(z)
         return action(u, fault or missing, self._predictor.info)
 
-    def _state(self, sample: Sample, missing: bool) -> FloatArray:
-        """Return z, and learn from what was predicted of it."""
-        predicted = self._predicted
+    def _predict(self, z: FloatArray) -> None:
+        """Predict the next state but for what the next disturbances do to it at once."""
+        model = self._model
+        self._predicted = model.a @ z + model.b @ self._u + model.e @ self._last_d + self._disturbance
+
+    def _take_over(self, past: Recording) -> None:
+        """Follow a running plant to where the loop begins."""
+        self._u = past.u[0]
+        for u, y, measured, d in zip(past.u, past.y, past.measured, past.d, strict=True):
+            z = self._state(y, measured, d, missing=False)
+            self._u, self._last_d = u, d
+            self._predict(z)
+
+    def _state(self, y: FloatArray, measured: FloatArray, d: FloatArray, missing: bool) -> FloatArray:
+        """Return z less what disturbances do to it at once, and learn from what was predicted of it."""
+        predicted, now = self._predicted, self._model.at_once @ d
         if predicted is None:
-            return self._lifted.rest(sample.y, sample.measured, self._u)
+            return self._lifted.rest(y, measured, self._u, d) - now
         if missing:
-            return self._lifted.follow(self._model.c @ predicted, predicted[: len(sample.measured)], self._u)
-        z = self._lifted.follow(sample.y, sample.measured, self._u)
-        self._disturbance += self.disturbance_gain * (z - predicted)
+            z = predicted + now
+            y, measured = self._model.c @ z, z[: len(measured)]
+            return self._lifted.follow(y, measured, self._u, self._last_d) - now
+        z = self._lifted.follow(y, measured, self._u, self._last_d) - now
+        self._disturbance = self._disturbance + self.disturbance_gain * (z - predicted)
         return z
+
+    def _fit(self, z: FloatArray, recording: Recording) -> LiftedModel:
+        d = recording.d if self._disturbed else None
+        return fit_lifted_model(z, recording.u, recording.y, self.ridge, recording.seams, d)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         code.kernel("koopman")
@@ -361,7 +440,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
+        return self._facts("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""
@@ -379,7 +458,13 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         if count_windows(head, 2, first.seams) < z.shape[1] + recording.u.shape[1]:
             return None
         try:
-            model = fit_lifted_model(z[:head], first.u, first.y, self.ridge, first.seams)
+            model = self._fit(z[:head], first)
         except DataError:  # the inputs of the whole recording are informative, those of its head are not
             return None
-        return fit_by_model(model, z, recording, self.horizon, head)
+        # The constant as what a disturbance of 1 does.
+        with_constant = replace(
+            model, e=np.column_stack([model.e, model.constant]), f=np.pad(model.f, ((0, 0), (0, 1)))
+        )
+        moved = replace(recording, d=np.pad(recording.d, ((0, 0), (0, 1)), constant_values=1.0))
+        past = z - recording.d @ model.at_once.T
+        return fit_by_model(with_constant, past, moved, self.horizon, head)

@@ -5,6 +5,14 @@
 K minimises the sum of ``|y - y_0|_Q^2 + |z|_Qi^2 + |u - u_0|_R^2`` for the sampled model (K. J. Astrom,
 R. M. Murray, Feedback Systems, 2nd ed., sections 7.4 and 8.4). Where an input reaches its limit, the sums z
 are set back to what the limited input agrees with, so that they do not wind up.
+
+Known disturbances d are fed forward as the same cost asks for. With ``(x, z)+ = A (x, z) + B u + E d`` and
+``y = C (x, z) + F d``, P of the Riccati equation and ``K = (K_x, K_z)``,
+
+    u = ... - (R + B'PB)^-1 B' (P E d_k + v_k+1),   v_k = C'Q F d_k + (A - B K)' (P E d_k + v_k+1),
+
+where d_k is measured, those after it are forecast as far as the horizon reaches, and from there on the last
+one lasts (B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, 1990, section 4.4).
 """
 
 from collections.abc import Mapping
@@ -12,17 +20,19 @@ from dataclasses import dataclass
 from importlib import import_module
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.control_api import regulator_gain
-from ddpc_controllers.models.kalman import ModelBased
+from ddpc_controllers.models.kalman import NO_DISTURBANCE, ModelBased
 from ddpc_controllers.optimisation.limits import SUM_HELD
 from ddpc_cosim import (
     ConfigError,
     Factor,
     FloatArray,
     Loop,
+    Recording,
     Sample,
     Weight,
     setting,
@@ -49,6 +59,10 @@ class LQR(ModelBased):
     input_weight: Weight = setting(
         0.1, above=0.0, doc="R: inputs off the operating point", search=Factor(1e-4, 1e2)
     )
+    horizon: int = setting(1, low=1, doc="samples of the disturbances' forecast that are fed forward")
+    use_forecast: bool = setting(
+        True, doc="feed the disturbances' forecast forward; otherwise what is measured is taken to last"
+    )
 
     def _start(self, loop: Loop) -> None:
         """Solve the two Riccati equations."""
@@ -66,24 +80,62 @@ class LQR(ModelBased):
         weight = np.block([[model.c.T @ q @ model.c, np.zeros((n, p))], [np.zeros((p, n)), qi]])
         gain = regulator_gain(model.a, model.b, weight, r, model.c)
         self._state_gain, self._sum_gain = gain[:, :n], gain[:, n:]
+        if loop.disturbances:
+            self._feedforward = self._preview_gain(gain, weight, q, r)
         self._sums_of_inputs = np.linalg.pinv(self._sum_gain)
         self._bounds, self._u_0 = loop.bounds, model.u_0
+        self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         # The sums take up what does not change, so the filter estimates no disturbance.
-        self._observe(loop, "none", 0.0)
         self._sum: FloatArray | None = None
+        self._continues = loop.continues_recording
+        self._observe(loop, "none", 0.0)
+
+    def _take_over(self, past: Recording) -> None:
+        """Set the sums as if the inputs before had been its own; an experiment's are not."""
+        if not self._continues:
+            before = self._without_sums(past.d[-1], np.repeat(past.d[-1:], self.horizon, axis=0))
+            self._sum = self._sums_of_inputs @ (before - self._u)
+
+    def _without_sums(self, d: FloatArray, forecast: FloatArray) -> FloatArray:
+        """Return the inputs of the present estimate and the disturbances now and later, sums aside."""
+        inputs = self._u_0 - self._state_gain @ self._observer.state[:-1]
+        if not self._disturbed:
+            return inputs
+        later = forecast[: self.horizon] if self.use_forecast else np.repeat(d[np.newaxis], self.horizon, 0)
+        off = np.vstack([d, later]) - self._model.d_0
+        return np.asarray(inputs + self._feedforward @ off.ravel())
+
+    def _preview_gain(self, gain: FloatArray, weight: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
+        """Return what inputs answer disturbances now and later off theirs, shape (m, (horizon + 1) n_d)."""
+        model, p = self._model, len(q)
+        n, (m, n_d) = len(model.a), (len(r), len(model.d_0))
+        a = np.block([[model.a, np.zeros((n, p))], [model.c, np.eye(p)]])
+        b, e = np.vstack([model.b, np.zeros((p, m))]), np.vstack([model.e, model.f])
+        closed = a - b @ gain
+        value = scipy.linalg.solve_discrete_lyapunov(closed.T, weight + gain.T @ r @ gain)
+        of_output = np.vstack([model.c.T @ q @ model.f, np.zeros((p, n_d))])
+        now = of_output + closed.T @ value @ e
+        later = np.linalg.solve(np.eye(n + p) - closed.T, now)  # v where d stays as it is
+        answer = -np.linalg.solve(r + b.T @ value @ b, b.T)
+        # After the horizon v is (I - (A - B K)')^-1 of the last d.
+        rows = [np.linalg.matrix_power(closed.T, k) for k in range(self.horizon + 1)]
+        shown = [value @ e, *(rows[k] @ now for k in range(self.horizon - 1)), rows[self.horizon - 1] @ later]
+        return np.asarray(np.hstack([answer @ part for part in shown]))
 
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the inputs that the gain asks for, within their limits."""
         observer = self._observer
-        y = np.where(np.isfinite(sample.y), sample.y, observer.c @ observer.state)
-        feedback = self._u_0 - self._state_gain @ observer.state[:-1]
+        expected = observer.expected(sample.disturbance if self._disturbed else NO_DISTURBANCE)
+        y = np.where(np.isfinite(sample.y), sample.y, expected)
+        feedback = self._without_sums(sample.disturbance, sample.forecast)
         if self._sum is None:  # the loop closes without a bump
             self._sum = self._sums_of_inputs @ (feedback - self._u)
         error = y - sample.reference[0]
         known = np.isfinite(error)
         total = self._sum + np.where(known, error, 0.0)
         wanted = feedback - self._sum_gain @ total
-        u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
+        low, high = sample.input_limits[0].T if self._moving else (self._bounds.u_min, self._bounds.u_max)
+        u: FloatArray = np.clip(wanted, low, high)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
         return u, "" if known.all() else SUM_HELD
 
@@ -102,6 +154,12 @@ class LQR(ModelBased):
         regulator = code.constant("Regulator", observer=f"&{observer}", **named)
         sums, scratch = code.memory(np.zeros(1 + p)), code.memory(np.zeros(m + p))
         return f"regulate(&{regulator}, &held, {sums}, {scratch}, sample, u, told);"
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and its prior information about the plant."""
+        known = ", ".join(variable.name for variable in loop.disturbances)
+        ahead = {"forecast": known if self.use_forecast else "measured only"} if known else {}
+        return {**super().knowledge(loop), **ahead}
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""

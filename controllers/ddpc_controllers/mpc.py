@@ -5,12 +5,13 @@ the true model of a linear plant it does what DeePC (8) does with its noise-free
 disturbance, estimated with the states, removes the offset (G. Pannocchia, J. B. Rawlings, AIChE J. 49(2),
 2003, doi:10.1002/aic.690490213).
 
-A model's trajectories over the horizon are all ``h = (x, u, y) = M (x, u)``: what the Hankel matrices are to
-a recording, the matrix M is to a model. Costs, limits, condensing and the online solution are shared.
+A model's trajectories over the horizon are all ``h = (x, d, u, y) = M (x, d, u)``: what the Hankel matrices
+are to a recording, the matrix M is to a model. Known disturbances d are those measured now and forecast, and
+the filter knows them as it knows the inputs. Costs, limits, condensing and the online solution are shared.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,12 +22,12 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
+from ddpc_controllers.optimisation.outlook import D, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import Scales
 from ddpc_cosim import (
-    Bounds,
     FloatArray,
     Log,
     Loop,
@@ -35,19 +36,26 @@ from ddpc_cosim import (
 )
 
 
-def trajectories(a: FloatArray, b: FloatArray, c: FloatArray, horizon: int) -> FloatArray:
-    """Return M of ``(x_0, u_-1, u_0 ... u_N-1, y_1 ... y_N) = M (x_0, u_-1, u_0 ... u_N-1)``.
+def trajectories(
+    a: FloatArray, b: FloatArray, c: FloatArray, horizon: int, e: FloatArray, f: FloatArray
+) -> FloatArray:
+    """Return M of ``(known, u_0 ... u_N-1, y_1 ... y_N) = M (known, u_0 ... u_N-1)``.
 
-    The first predicted output is that of the next sample: the output of this one is measured already.
+    Known are ``(x_0, u_-1, d_0 ... d_N)``. The first predicted output is that of the next sample: the output
+    of this one is measured already.
     """
-    n, m = b.shape
-    size = n + m + horizon * m
+    (n, m), n_d = b.shape, e.shape[1]
+    first = n + m + (horizon + 1) * n_d
+    size = first + horizon * m
     states = np.eye(n, size)
     outputs = []
     for k in range(horizon):
+        now = n + m + k * n_d
         states = a @ states
-        states[:, n + (k + 1) * m : n + (k + 2) * m] += b
+        states[:, first + k * m : first + (k + 1) * m] += b
+        states[:, now : now + n_d] += e
         outputs.append(c @ states)
+        outputs[-1][:, now + n_d : now + 2 * n_d] += f
     return np.vstack([np.eye(size), *outputs])
 
 
@@ -56,16 +64,16 @@ class Predictor:
 
     Parameters
     ----------
-    a, b, c : array, shapes (n, n), (n, m), (p, n)
-        The model, its inputs and outputs those of ``bounds``.
+    a, b, c, e, f : array, shapes (n, n), (n, m), (p, n), (n, n_d), (p, n_d)
+        The model, its inputs and outputs those of the loop, and how known disturbances act on both.
     settings : TrackingSettings
         What to minimise.
-    bounds : Bounds
-        Limits of inputs and outputs.
+    loop : Loop
+        The loop of the model's signals: limits, bands, prices, inputs at rest.
     scales : Scales
         What one unit of each input and output of the model is.
-    rest : array, shape (m,)
-        Inputs at rest: where they are weighed from without an artificial setpoint.
+    controlled : int
+        How many of the outputs are controlled; the others are paid for.
 
     Attributes
     ----------
@@ -84,36 +92,43 @@ class Predictor:
         a: FloatArray,
         b: FloatArray,
         c: FloatArray,
+        e: FloatArray,
+        f: FloatArray,
         settings: TrackingSettings,
-        bounds: Bounds,
+        loop: Loop,
         scales: Scales,
-        rest: FloatArray,
+        controlled: int,
     ) -> None:
-        n, m, p = len(a), b.shape[1], len(c)
+        n, m, p, n_d = len(a), b.shape[1], len(c), e.shape[1]
         self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
         self._inputs, self._unit = m, scales.y
-        self._ends, self.info = predicted_ends(scales.loop.outputs), NO_INFO
-        self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
-        self._parameters = ParameterVector({"x": (1, n), "u_ini": (1, m), "r": (settings.horizon, p)})
-        past = {"x": n, "u_ini": m}
+        self._ends, self.info = predicted_ends(loop.outputs), NO_INFO
+        self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, rates)
+        self._disturbed, self._uses_forecast = n_d > 0, settings.use_forecast
+        # The disturbances are rows of the data up to the last output, which they can show in at once.
+        self._outlook = Outlook(
+            replace(loop, disturbances=()), settings, settings.horizon, controlled=controlled
+        )
+        known = {"x": (1, n), "u_ini": (1, m)} | ({D: (settings.horizon + 1, n_d)} if n_d else {})
+        self._parameters = ParameterVector({**known, "r": (settings.horizon, p), **self._outlook.windows})
+        past = {name: self._parameters.sizes[name] for name in known}
         problem = tracking_problem(
             settings,
-            bounds,
-            rest,
+            loop.bounds,
+            resting_input(loop),
             rates,
             past,
             self._parameters.sizes,
             known={name: name for name in past},
             prefer_rest=True,
+            outlook=self._outlook,
         )
         problem.ask(u=m)
         problem.ask(y=-p)
-        data = trajectories(a, b, c, settings.horizon)
+        data = trajectories(a, b, c, settings.horizon, e, f)
         self._law = make_law(problem, data, self._limits, make_backend(settings.backend), None)
 
-    def solve(
-        self, state: FloatArray, last_input: FloatArray, reference: FloatArray
-    ) -> tuple[FloatArray, str]:
+    def solve(self, state: FloatArray, last_input: FloatArray, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs, shape (m,), and why they are not the optimum, empty if they are.
 
         Parameters
@@ -122,12 +137,18 @@ class Predictor:
             State at this sample.
         last_input : array, shape (m,)
             Inputs applied at the last sample.
-        reference : array, shape (N, p)
-            References of the next samples, time along axis 0.
+        sample : Sample
+            What else is known now: references of the next samples, disturbances.
         """
         self._parameters.fill("x", state)
         self._parameters.fill("u_ini", last_input)
-        self._parameters.fill("r", reference)
+        self._parameters.fill("r", sample.reference)
+        if self._disturbed:
+            d, forecast = self._parameters.window(D), sample.forecast[: self._outlook.horizon]
+            d[0], d[1:] = sample.disturbance, forecast if self._uses_forecast else sample.disturbance
+        self._outlook.fill(self._parameters, sample)
+        if self._outlook.moves_inputs:
+            self._limits.move(sample.input_limits)
         answer, fault = self._law.solve(self._parameters.array)
         if answer is None:
             self.info = NO_INFO
@@ -182,7 +203,8 @@ class MPC(TrackingSettings, ModelBased):
         self._observe(loop, self.disturbance, self.disturbance_noise)
         model = self._observer
         self._predictor = Predictor(
-            model.a, model.b, model.c, self, loop.bounds, self._scales, resting_input(loop)
+            *(model.a, model.b, model.c, model.e, model.f),
+            *(self, loop, self._scales, self._method_loop.controlled),
         )
 
     @property
@@ -191,7 +213,7 @@ class MPC(TrackingSettings, ModelBased):
 
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""
-        u, fault = self._predictor.solve(self._observer.state, self._u, sample.reference)
+        u, fault = self._predictor.solve(self._observer.state, self._u, sample)
         self._info = self._predictor.info
         return u, fault
 

@@ -48,10 +48,10 @@ def step_gain(recording: Recording, samples: int) -> FloatArray:
     samples : int
         After how many of them, 20 at least; longer than the dead time.
     """
-    m, p = recording.u.shape[1], recording.y.shape[1]
+    m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
     samples = max(samples, _FEWEST_SAMPLES)
     # Twice as many equations as coefficients.
-    lags = max(1, min(samples, len(recording) // (2 * (m + p) + 1)))
+    lags = max(1, min(samples, len(recording) // (2 * (m + p + n_d) + 1)))
     gain = markov_parameters(fit_arx(recording, lags), samples).sum(axis=0)
     return np.asarray(gain * recording.u.std(axis=0) / spread(recording)[:, np.newaxis])
 

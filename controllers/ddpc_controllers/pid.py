@@ -19,6 +19,9 @@ shorten. The rules know neither sampling nor zeros: the sampled loop with the fi
 until it is stable and its maximum sensitivity ``M_s = max |1 / (1 + P C)|`` is 1.7 at most (Astrom and
 Hagglund ask for 1.4 to 2), which is a gain margin of 2.4; a time that was asked for is kept, with a
 warning. Loops are judged one by one.
+
+What is known to disturb the plant can be fed forward, by an addition to v: see
+:mod:`ddpc_controllers.models.feedforward`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,10 +31,11 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.checks import prior_info
+from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
 from ddpc_controllers.export.code import Code, Exportable
-from ddpc_controllers.models.identification import fit_arx
+from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
+from ddpc_controllers.models.identification import fit_arx, never_moved
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
@@ -358,6 +362,9 @@ class PID(Exportable):
         search=Factor(0.2, 5.0),
     )
     pairing: Sequence[int] = setting((), doc="number of the input for each output; empty: in their order")
+    feedforward: bool = setting(
+        False, doc="feed known disturbances forward, as a recording shows that they act; then it needs one"
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -367,7 +374,7 @@ class PID(Exportable):
     @property
     def uses_recording(self) -> bool:
         """Whether ``start`` needs a recording."""
-        return self.tuning == "step-test"
+        return self.tuning == "step-test" or self.feedforward
 
     def start(self, loop: Loop) -> None:
         """Tune the loops, or take the gains as given.
@@ -388,11 +395,16 @@ class PID(Exportable):
         self._tracking = np.where(self._gains.integral != 0.0, h / max(self.tracking_time, h), 0.0)
         self._u = resting_input(loop)
         self._low, self._high = loop.bounds.u_min[self._pairs], loop.bounds.u_max[self._pairs]
+        self._moving = bool({loop.inputs[i].name for i in self._pairs} & {*loop.moving_limits})
         self._derivative = np.zeros(len(self._pairs))
         self._integral: FloatArray | None = None
         self._y: FloatArray | None = None
+        self._taken_over = False
+        self._forward = self._fed_forward(loop)
         if loop.continues_recording and loop.recording is not None:
             self._u, self._y = loop.recording.u[-1].copy(), loop.recording.y[-1]
+        elif loop.past:
+            self._take_over(loop.past)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs of all loops, within their limits."""
@@ -403,13 +415,19 @@ class PID(Exportable):
             return self._hold(HELD_WITHOUT_REFERENCE)
         before = y if self._y is None else self._y
         proportional = gains.proportional * (self.setpoint_share * r - y)
-        self._derivative = (gains.filter_time * self._derivative - gains.derivative * (y - before)) / (
-            gains.filter_time + self._elapsed
-        )
+        if self._taken_over:  # the last inputs were its own, for the reference of this sample
+            self._integral = self._u[self._pairs] - self._derivative - self._added
+            self._integral -= gains.proportional * (self.setpoint_share * sample.setpoint - before)
+            self._taken_over = False
+        self._differentiate(y - before)
         if self._integral is None:  # as if the loop had held the output where it is
             self._integral = self._u[self._pairs] + gains.proportional * (1.0 - self.setpoint_share) * y
         increment = h * gains.integral * (r - y)
         wanted = proportional + self._integral + increment + self._derivative
+        if self._forward:
+            wanted += self._forward.step(sample.disturbance)
+        if self._moving:
+            self._low, self._high = sample.input_limits[0, self._pairs].T
         limited = np.clip(wanted, self._low, self._high)
         self._integral = self._integral + self._kept(increment, limited - wanted)
         self._y, self._elapsed = y.copy(), h
@@ -417,17 +435,25 @@ class PID(Exportable):
         return self._u.copy()
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return the fewest samples that a step test can be read from; 0 with manual tuning."""
-        return fewest_test_samples(inputs) if self.tuning == "step-test" else 0
+        """Return the fewest samples that a step test can be read from; 0 where none is needed."""
+        return fewest_test_samples(inputs) if self.uses_recording else 0
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        prior = "nothing" if self.uses_recording else "gains, as they are set"
-        return prior_info(prior, loop.outputs)
+        prior = "nothing" if self.tuning == "step-test" else "gains, as they are set"
+        if not loop.disturbances:
+            return prior_info(prior, loop.outputs)
+        if not self._forward:
+            return without_forecast(prior_info(prior, loop.outputs))
+        return without_forecast(prior_info(prior, loop.outputs, loop.disturbances))
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
         code.kernel("pid")
+        if self._forward or self._moving or self._taken_over:
+            what = "feeds disturbances forward" if self._forward else "takes over a running plant"
+            what = "has input limits that move" if self._moving else what
+            raise ConfigError(f"PID cannot be exported where it {what}: its code in C does not")
         p = len(self._pairs)
         pid = code.constant(
             "PID",
@@ -452,6 +478,9 @@ class PID(Exportable):
         shown = self._gains._asdict()
         if self._tuned:
             shown["maximum_sensitivity"] = self._tuned.maximum_sensitivity
+        if self._forward:
+            total = self._forward.gains.sum(axis=1)
+            shown |= {f"feedforward_gain_{j}": gain for j, gain in enumerate(total.T)}
         return {
             f"{name}[{i}]": float(value)
             for name, values in shown.items()
@@ -461,9 +490,9 @@ class PID(Exportable):
     def warnings(self) -> Sequence[str]:
         """Return which loops are faster, as asked for, than the model of the recording lets them."""
         if not self._tuned:
-            return ()
+            return self._still
         _, sensitivities, times = self._tuned
-        return [
+        return [*self._still] + [
             f"PID: closed_loop_time = {self.closed_loop_time:g} s "
             + (
                 f"gives loop {i} a maximum sensitivity of {sensitivity:.3g}"
@@ -475,6 +504,48 @@ class PID(Exportable):
             for i, (sensitivity, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
             if float(f"{sensitivity:.3g}") > _LARGEST_SENSITIVITY
         ]
+
+    def _differentiate(self, change: FloatArray) -> None:
+        gains = self._gains
+        self._derivative = (gains.filter_time * self._derivative - gains.derivative * change) / (
+            gains.filter_time + self._elapsed
+        )
+
+    def _take_over(self, past: Recording) -> None:
+        """Go on where a running plant is, as if the inputs till now had been its own."""
+        for change in np.diff(past.y, axis=0):
+            self._differentiate(change)
+        self._added = np.zeros(len(self._pairs))
+        if self._forward:
+            self._added = [self._forward.step(d) for d in past.d][-1]
+        self._u, self._y, self._taken_over = past.u[-1].copy(), past.y[-1], True
+
+    def _fed_forward(self, loop: Loop) -> Feedforward | None:
+        """Return what feeds disturbances forward, identified from the recording; None: nothing does."""
+        self._still: tuple[str, ...] = ()
+        if not (self.feedforward and loop.disturbances):
+            return None
+        recording = matching_recording(loop, "PID")
+        self._still = never_moved(loop, recording)
+        gains = identify_feedforward(recording, self._pairs, self._feedback)
+        if not gains.any():
+            self._still += (
+                "PID: no disturbance is fed forward: these gains do not stabilise the model of the recording",
+            )
+        return Feedforward(gains)
+
+    def _feedback(self, runs: int) -> Feedback:
+        """Return the loops without limits and reference, for runs side by side."""
+        h, (kp, ki, kd, filter_time) = self._sampling_time, (gain[:, np.newaxis] for gain in self._gains)
+        integral, derivative, before = (np.zeros((len(self._pairs), runs)) for _ in range(3))
+
+        def feedback(y: FloatArray) -> FloatArray:
+            integral[:] -= h * ki * y
+            derivative[:] = (filter_time * derivative - kd * (y - before)) / (filter_time + h)
+            before[:] = y
+            return integral + derivative - kp * y
+
+        return feedback
 
     def _hold(self, why: str) -> Action:
         """Return the last inputs; the next change of the outputs spans a sample more."""

@@ -14,9 +14,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.data.quality import Judgement
+from ddpc_controllers.checks import prior_info
+from ddpc_controllers.data.quality import Judgement, stands_still
 from ddpc_controllers.export.code import Code, Exportable, inner_step
 from ddpc_controllers.optimisation.limits import InputLimits
+from ddpc_controllers.optimisation.outlook import Foresight
 from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import (
     Action,
@@ -24,6 +26,7 @@ from ddpc_cosim import (
     ConfigError,
     FloatArray,
     Loop,
+    Recording,
     Sample,
     Variable,
     setting,
@@ -45,11 +48,13 @@ class Scales:
     by : {"nominal", "range", "none"}
         What one unit of a scaled signal is: its nominal value; half its range, where it has none the nominal
         value; or its unit.
+    whole : bool
+        Scale all that a sample says; otherwise what there is in this loop, so that the rest costs no time.
 
     Attributes
     ----------
-    u, y, measured : array, shapes (m,), (p,), (q,)
-        Scales of inputs, outputs and measurements, in the signals' own units; positive.
+    u, y, measured, d : array, shapes (m,), (p,), (q,), (n_d,)
+        Scales of inputs, outputs, measurements and disturbances, in the signals' own units; positive.
     loop : Loop
         The loop in scaled signals; the loop itself if they are the signals.
 
@@ -59,24 +64,33 @@ class Scales:
         Every signal whose nominal value cannot be a scale.
     """
 
-    def __init__(self, loop: Loop, by: ScaleBy) -> None:
-        self.u, self.y, self.measured = _scales_of(loop, by)
+    def __init__(self, loop: Loop, by: ScaleBy, whole: bool = False) -> None:
+        self.u, self.y, self.measured, self.d = scales = _scales_of(loop, by)
         self._by = by
         self._variables = loop.inputs, loop.outputs
-        self._trivial = all(bool(np.all(scale == 1.0)) for scale in (self.u, self.y, self.measured))
+        self._trivial = all(bool(np.all(scale == 1.0)) for scale in scales)
+        self._limits_move = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
+        self._further = self._fields_of(loop, whole)
         self.loop = loop if self._trivial else self._scaled(loop)
 
     def step(self, step: Callable[[Sample], FloatArray | Action], sample: Sample) -> FloatArray | Action:
         """Return what a step in scaled signals answers to a sample, the inputs in their own units."""
         if self._trivial:
             return step(sample)
+        if self._limits_move:
+            self._limits.move(sample.input_limits)
         answer = step(
             sample._replace(
                 y=sample.y / self.y,
                 measured=sample.measured / self.measured,
                 reference=sample.reference / self.y,
                 setpoint=sample.setpoint / self.y,
+                **{
+                    name: values / scale
+                    for name, scale in self._further
+                    if (values := getattr(sample, name)).size
+                },
             )
         )
         if isinstance(answer, Action):
@@ -144,8 +158,20 @@ class Scales:
         self._limits.hold(inputs)
         return inputs
 
+    def _fields_of(self, loop: Loop, whole: bool) -> tuple[tuple[str, FloatArray], ...]:
+        """Return what else a sample says, field by field, and its scale."""
+        of_u, of_y = self.u[:, np.newaxis], self.y[:, np.newaxis]
+        fields = [
+            ((("disturbance", self.d), ("forecast", self.d)), loop.disturbances),
+            ((("band_now", of_y), ("band", of_y)), loop.bands),
+            ((("input_limits", of_u), ("output_limits", of_y)), loop.moving_limits),
+        ]
+        return tuple(field for pair, there in fields for field in pair if there or whole)
+
     def _scaled(self, loop: Loop) -> Loop:
-        bounds, recording = loop.bounds, loop.recording
+        bounds = loop.bounds
+        signals = (*loop.measurements, *loop.outputs, *loop.inputs)
+        sizes = dict(zip((v.name for v in signals), (*self.measured, *self.y, *self.u), strict=True))
         return replace(
             loop,
             inputs=_scaled(loop.inputs, self.u),
@@ -154,13 +180,19 @@ class Scales:
             bounds=Bounds(
                 bounds.u_min / self.u, bounds.u_max / self.u, bounds.y_min / self.y, bounds.y_max / self.y
             ),
-            recording=recording
-            and replace(
-                recording,
-                u=recording.u / self.u,
-                y=recording.y / self.y,
-                measured=recording.measured / self.measured,
-            ),
+            recording=self._in_parts(loop.recording),
+            past=self._in_parts(loop.past),
+            disturbances=_scaled(loop.disturbances, self.d),
+            charges=tuple(c._replace(rate=c.rate * float(sizes.get(c.signal, 1.0))) for c in loop.charges),
+        )
+
+    def _in_parts(self, recording: Recording | None) -> Recording | None:
+        return recording and replace(
+            recording,
+            u=recording.u / self.u,
+            y=recording.y / self.y,
+            measured=recording.measured / self.measured,
+            d=recording.d / self.d if recording.d.shape[1] == len(self.d) else recording.d,
         )
 
 
@@ -178,21 +210,31 @@ def _times(size: float) -> str:
     return f"{size:.2g} times" if size >= 1.0 else f"1/{1.0 / size:.2g} of" if size > 0.0 else "0 times"
 
 
-def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the scales of inputs, outputs and measurements."""
+def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the scales of inputs, outputs, measurements and disturbances."""
     if by == "none":
-        return np.ones(len(loop.inputs)), np.ones(len(loop.outputs)), np.ones(len(loop.measurements))
+        inputs, outputs, measurements, disturbances = map(
+            len, (loop.inputs, loop.outputs, loop.measurements, loop.disturbances)
+        )
+        return np.ones(inputs), np.ones(outputs), np.ones(measurements), np.ones(disturbances)
     bounds, faults = loop.bounds, list[str]()
     u = _sizes(loop.inputs, bounds.u_min, bounds.u_max, by, faults)
     y = _sizes(loop.outputs, bounds.y_min, bounds.y_max, by, faults)
-    low, high = (np.array([getattr(v, end) for v in loop.measurements]) for end in ("min", "max"))
-    scales = _sizes(loop.measurements, low, high, by, [])
+    scales, d = (
+        _sizes(signals, *_ranges(signals), by, unfit)
+        for signals, unfit in ((loop.measurements, list[str]()), (loop.disturbances, faults))
+    )
     if faults:
         raise ConfigError(faults)
     # An output has one scale, also where it is measured.
     of_outputs = {variable.name: scale for variable, scale in zip(loop.outputs, y, strict=True)}
     measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, scales, strict=True)]
-    return u, y, np.array(measured)
+    return u, y, np.array(measured), d
+
+
+def _ranges(variables: tuple[Variable, ...]) -> tuple[FloatArray, FloatArray]:
+    low, high = (np.array([getattr(variable, end) for variable in variables]) for end in ("min", "max"))
+    return low, high
 
 
 def _sizes(
@@ -229,6 +271,113 @@ def _scaled(variables: tuple[Variable, ...], scales: FloatArray) -> tuple[Variab
     )
 
 
+class Predicted:
+    """A loop as a predictive method sees it.
+
+    Measurements that are paid for, and neither inputs nor outputs, are outputs that it predicts, the last
+    ones, without a reference. Disturbances that never moved in the recording are not there: the data do not
+    have their effect.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    foresight : Foresight or None
+        What the method does with prices; None: it sees the loop as it is.
+    learns : bool
+        Whether it knows the plant by the recording alone.
+
+    Attributes
+    ----------
+    loop : Loop
+        The loop that it sees: the same where there is nothing of the kind.
+    controlled : int
+        How many of the outputs are controlled.
+    paid : tuple of Variable
+        The other outputs.
+    warnings : list of str
+        Which disturbances never moved.
+    """
+
+    def __init__(self, loop: Loop, foresight: Foresight | None, learns: bool) -> None:
+        self.loop, self.controlled, self.warnings = loop, len(loop.outputs), list[str]()
+        names = [variable.name for variable in loop.measurements]
+        others = {variable.name for variable in (*loop.inputs, *loop.outputs)}
+        paid = {c.signal for c in loop.charges} - others if foresight and foresight.price_weight else set()
+        self._rows = [names.index(name) for name in names if name in paid]
+        self.paid = tuple(loop.measurements[row] for row in self._rows)
+        self._kept = list(range(len(loop.disturbances)))
+        if foresight and learns:
+            self._leave_out_what_stood_still(loop)
+        self._trivial = not self._rows and len(self._kept) == len(loop.disturbances)
+        if not self._trivial:
+            self.loop = self._seen(loop)
+
+    def sample(self, sample: Sample) -> Sample:
+        """Return what the method sees of a sample."""
+        if self._trivial:
+            return sample
+        if len(self._kept) < sample.disturbance.size:
+            disturbance, forecast = sample.disturbance[self._kept], sample.forecast[:, self._kept]
+            sample = sample._replace(disturbance=disturbance, forecast=forecast)
+        if not self._rows:
+            return sample
+        more = len(self._rows)
+        return sample._replace(
+            y=np.concatenate([sample.y, sample.measured[self._rows]]),
+            reference=np.pad(sample.reference, ((0, 0), (0, more))),
+            setpoint=np.pad(sample.setpoint, (0, more)),
+            band_now=_padded(sample.band_now, more),
+            band=_padded(sample.band, more),
+            output_limits=_padded(sample.output_limits, more),
+        )
+
+    def _leave_out_what_stood_still(self, loop: Loop) -> None:
+        """Leave disturbances out that never moved in the recording."""
+        recording = loop.recording
+        if recording is None or recording.d.shape[1] != len(loop.disturbances):
+            return
+        still = stands_still(recording.d)
+        self._kept = np.flatnonzero(~still).tolist()
+        for i in np.flatnonzero(still).tolist():
+            variable = loop.disturbances[i]
+            value = f"{recording.d[0, i]:g} {variable.unit}".rstrip()
+            self.warnings.append(
+                f"{variable.name} never moved in the recording (it was {value}), so its effect is not in the "
+                "data and is left out: let it move in the experiment "
+                f"(recording.disturbances.{variable.name})"
+            )
+
+    def _seen(self, loop: Loop) -> Loop:
+        bounds, endless = loop.bounds, np.full(len(self._rows), np.inf)
+        return replace(
+            loop,
+            outputs=(*loop.outputs, *self.paid),
+            bounds=Bounds(
+                bounds.u_min,
+                bounds.u_max,
+                np.append(bounds.y_min, -endless),
+                np.append(bounds.y_max, endless),
+            ),
+            disturbances=tuple(loop.disturbances[i] for i in self._kept),
+            recording=self._of_recording(loop.recording),
+            past=self._of_recording(loop.past),
+        )
+
+    def _of_recording(self, recording: Recording | None) -> Recording | None:
+        return recording and replace(
+            recording,
+            y=np.hstack([recording.y, recording.measured[:, self._rows]]),
+            d=recording.d[:, self._kept],
+        )
+
+
+def _padded(pairs: FloatArray, more: int) -> FloatArray:
+    """Return lower and upper values, shape (..., p, 2), with so many signals more that have none."""
+    shape = (*pairs.shape[:-2], more, 2)
+    return np.concatenate([pairs, np.broadcast_to([-np.inf, np.inf], shape)], axis=-2)
+
+
 @dataclass(kw_only=True)
 class ScaledSignals(Exportable):
     """Base of the controllers that weigh errors: the method itself sees scaled signals only.
@@ -254,8 +403,15 @@ class ScaledSignals(Exportable):
         ConfigError
             A setting does not fit the loop, or a nominal value cannot be a scale.
         """
-        self._scales = Scales(loop, self.scaling)
+        self._see(loop)
         self._start_scaled()
+
+    def _see(self, loop: Loop) -> Loop:
+        """Return the loop that the method sees, in the units of the plant; set its scales."""
+        foresight = self if isinstance(self, Foresight) else None
+        self._method_loop = Predicted(loop, foresight, self.uses_recording)
+        self._scales = Scales(self._method_loop.loop, self.scaling)
+        return self._method_loop.loop
 
     def _start_scaled(self) -> None:
         """Start the method; where a setting does not fit, signals of another size may be the cause."""
@@ -268,15 +424,43 @@ class ScaledSignals(Exportable):
 
     def warnings(self) -> Sequence[str]:
         """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
-        return [*self._scales.misfits(), *self._judgement.warnings]
+        return [*self._scales.misfits(), *self._method_loop.warnings, *self._judgement.warnings]
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that the method finds, in their units."""
-        return self._scales.step(self._step, sample)
+        return self._scales.step(self._step, self._method_loop.sample(sample))
 
     def c_step(self, code: Code, loop: Loop) -> str:
-        """Add the method, in scaled signals."""
+        """Add the method, in scaled signals.
+
+        Raises
+        ------
+        ConfigError
+            The loop has what the code does not know.
+        """
+        there = {
+            "disturbances": loop.disturbances,
+            "bands": loop.bands,
+            "moving limits": loop.moving_limits,
+            "prices": loop.charges,
+        }
+        if named := " and ".join(name for name, things in there.items() if things):
+            raise ConfigError(
+                f"{type(self).__name__} cannot be exported with {named}: its code in C does not know them"
+            )
         return self._scales.c_step(code, self._c_step, self.horizon)
+
+    def _facts(self, plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
+        """Return the facts of :meth:`knowledge` as :func:`prior_info`, with forecasts and prices it uses."""
+        seen = self._method_loop
+        facts = prior_info(plant, *signals, seen.paid)
+        if isinstance(self, Foresight):
+            if seen.loop.disturbances:
+                names = ", ".join(variable.name for variable in seen.loop.disturbances)
+                facts["forecast"] = names if self.use_forecast else "measured only"
+            if seen.loop.charges and self.price_weight:
+                facts["prices"] = ", ".join(charge.name for charge in seen.loop.charges)
+        return facts
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the method to the code, for a loop in scaled signals; return its step function."""
@@ -315,7 +499,7 @@ class Scaled(SingleWrapper):
         CosimError
             The controller does not start.
         """
-        self._scales = Scales(loop, self.scale_by)
+        self._scales = Scales(loop, self.scale_by, whole=True)
         self._start_inside(self._scales.loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:

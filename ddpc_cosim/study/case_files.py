@@ -455,7 +455,7 @@ def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
         warnings.simplefilter("always")
         metrics = trace.metrics(settings)
     return {
-        "tracking": [asdict(tracking) for tracking in trace.tracking(settings)],
+        "tracking": [tracking.written() for tracking in trace.tracking(settings)],
         "metrics": metrics,
         "metric_warnings": [
             recorded(warning.message) for warning in caught if issubclass(warning.category, CosimWarning)

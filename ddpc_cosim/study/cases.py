@@ -15,7 +15,8 @@ import numpy as np
 
 from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
-from ddpc_cosim.controller import Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.controller import Controller, Loop, Recording, Sample
+from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.errors import (
     ConfigError,
     CosimError,
@@ -27,11 +28,13 @@ from ddpc_cosim.errors import (
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.outlook import Limit, Limits, table_widths
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
+from ddpc_cosim.prices import Price
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import Band, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec, content_of_plant
@@ -55,6 +58,19 @@ _NAMES, _OF_EXECUTION = (
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
 _NOT_DECISIVE = (*_NAMES, *_OF_EXECUTION, "late", "metrics", "seed", "shared_bounds")
+# What is part of a case only where its study says something of it: ids of other cases do not know it.
+_WHERE_SAID = (
+    "disturbances",
+    "recorded_disturbances",
+    "recording_start",
+    "prices",
+    "read",
+    "forecast_horizon",
+    "warm_up",
+    "warm_up_controller",
+)
+_NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
+Bounded = dict[str, tuple[Limit, Limit]]
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
 _RESTING, _PLANT_CONTROL = "idle", "plant"
@@ -84,9 +100,9 @@ class Case:
         Timing [s].
     continue_recording : bool
         The loop starts where the recording ended.
-    reference : dict of str to Reference
+    reference : dict of str to (Reference or Band)
         Of each controlled output, in its own unit.
-    bounds, shared_bounds : dict of str to (float, float)
+    bounds, shared_bounds : dict of str to pairs of (float or Reference)
         Limits in the variables' own units, and those of a controller that has none of its own.
     excitation : Excitation or None
         The experiment, which is run with the case's seed.
@@ -112,6 +128,23 @@ class Case:
         What else acts on the plant, and what its actuators and sensors do.
     undriven : tuple of Variable
         The inputs that have a signal.
+    disturbances : dict of str to KnownDisturbance
+        What acts on the plant and is known, in the variables' own units; of inputs the conditions have the
+        signals.
+    recorded_disturbances : dict of str to Reference
+        Signals of some of them in the experiment.
+    recording_start : float or None
+        Time of the experiment's first sample [s]; None: 0.
+    prices : dict of str to Price
+        What signals cost.
+    read : tuple of Variable
+        Outputs that are neither controlled nor measured, and known disturbances or paid for.
+    forecast_horizon : int or None
+        The longest horizon of the study's controllers, as far as forecasts are made; None: there are none.
+    warm_up : float
+        How long the plant runs before the first sample [s].
+    warm_up_controller : dict or None
+        Type and settings of the controller that it has then; None: its own control.
     metrics : MetricSettings
         What its figures depend on besides its samples, which they do not decide.
     late : str
@@ -139,8 +172,8 @@ class Case:
     duration: float
     start_time: float
     continue_recording: bool
-    reference: dict[str, Reference]
-    bounds: dict[str, tuple[float, float]]
+    reference: dict[str, Reference | Band]
+    bounds: Bounded
     excitation: Excitation | None
     recording: Recording | None
     stabiliser: dict[str, Any] | None
@@ -157,9 +190,17 @@ class Case:
     late: str = ""
     id: str = ""
     sandbox: str = ""
-    shared_bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
+    shared_bounds: Bounded = field(default_factory=dict)
     problem: str = ""
     storage: str = "csv"
+    disturbances: dict[str, KnownDisturbance] = field(default_factory=dict)
+    recorded_disturbances: dict[str, Reference] = field(default_factory=dict)
+    recording_start: float | None = None
+    prices: dict[str, Price] = field(default_factory=dict)
+    read: tuple[Variable, ...] = ()
+    forecast_horizon: int | None = None
+    warm_up: float = 0.0
+    warm_up_controller: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -176,6 +217,11 @@ class Case:
     def changed_inputs(self) -> tuple[Variable, ...]:
         """The inputs that the plant may be given otherwise than a controller commands them."""
         return changed_inputs(self.conditions, (*self.inputs, *self.undriven))
+
+    def variable(self, name: str) -> Variable:
+        """Return a signal that takes part, by its name."""
+        every = (*self.inputs, *self.undriven, *self.outputs, *self.measurements, *self.read)
+        return next(variable for variable in every if variable.name == name)
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
@@ -289,6 +335,7 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     )
     if not case.continue_recording:
         case = replace(case, excitation=None, recording=None, stabiliser=None)
+        case = replace(case, recorded_disturbances={}, recording_start=None)
     digest = case.recording.digest if case.recording else None
     shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
     for seed in driven:
@@ -311,7 +358,7 @@ def _code_and_files(case: Case) -> dict[str, Any]:
 
 
 def _sections(case: Case) -> list[dict[str, Any]]:
-    return [case.section, case.stabiliser] if case.stabiliser else [case.section]
+    return [case.section, *filter(None, (case.stabiliser, case.warm_up_controller))]
 
 
 def _files(case: Case) -> list[list[str]]:
@@ -336,7 +383,11 @@ def _plants(case: Case) -> list[str]:
 
 def data_files(case: Case) -> list[str]:
     """Return the paths of the files that a case reads: FMUs and files that settings name."""
-    return [path for paths in (case.plant.files, *_files(case)) for path in paths]
+    return [path for paths in (case.plant.files, *_files(case), _forecast_files(case)) for path in paths]
+
+
+def _forecast_files(case: Case) -> list[str]:
+    return [known.forecast.file for known in case.disturbances.values() if known.forecast is not None]
 
 
 def files_read(case: Case) -> list[Path]:
@@ -402,10 +453,20 @@ def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
     decisive |= {**content, "plant": case.plant.content}
     if versions := case.conditions.versions:  # each scenario has conditions of its own
         decisive["versions"] = versions
-    decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    for key in _NOT_DECISIVE:
+    signals = ("inputs", "outputs", "measurements", "undriven", "read")
+    decisive |= {key: names(decisive[key]) for key in signals}
+    decisive["warm_up"] = case.warm_up or None
+    decisive["disturbances"] = {name: _by_content(known) for name, known in case.disturbances.items()}
+    for key in (*_NOT_DECISIVE, *(key for key in _WHERE_SAID if decisive[key] in _NOTHING_SAID)):
         del decisive[key]
     return hashlib.sha256(json.dumps(decisive, sort_keys=True, default=repr).encode())
+
+
+def _by_content(known: KnownDisturbance) -> KnownDisturbance:
+    """Return a disturbance whose file of forecasts is called by a hash of its content."""
+    if known.forecast is None:
+        return known
+    return replace(known, forecast=replace(known.forecast, file=hash_of_file(known.forecast.file)))
 
 
 def run_case(case: Case, store: RowStore | None = None) -> Trace:
@@ -478,7 +539,7 @@ class _OnlyStarted(Controller):
 
 
 def _open(case: Case) -> Plant:
-    read = (*names(case.outputs), *names(case.measurements))
+    read = (*names(case.outputs), *names(case.measurements), *names(case.read))
     return case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
 
 
@@ -512,6 +573,8 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
 
 
 def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:
+    warm_up = case.warm_up_controller
+    warm_up_controller = None if warm_up is None else _controller(warm_up, case.plant)
     return cosimulate(
         plant,
         controller,
@@ -532,6 +595,13 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         seed=case.seed,
         start_time=case.start_time,
         continue_recording=case.continue_recording,
+        disturbances=case.disturbances,
+        recorded_disturbances=case.recorded_disturbances,
+        recording_start=case.recording_start,
+        forecast_horizon=case.forecast_horizon,
+        prices=case.prices,
+        warm_up=case.warm_up,
+        warm_up_controller=warm_up_controller,
         store=store,
     )
 
@@ -554,9 +624,19 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | No
 
 def row_store(case: Case, path: Path | None = None, *, follow: bool = False) -> RowStore:
     """Return the store for a case's rows, in a file, perhaps of another process, or in memory."""
-    columns = len(case.outputs), len(case.measurements), len(case.inputs)
-    changed = len(case.changed_inputs)
-    return RowStore(_planned_samples(case), *columns, path, changed_inputs=changed, follow=follow)
+    return _store(case, _planned_samples(case), path, follow=follow)
+
+
+def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool = False) -> RowStore:
+    sizes = len(case.inputs), len(case.outputs)
+    return RowStore(
+        samples,
+        *(len(case.outputs), len(case.measurements), len(case.inputs)),
+        path,
+        changed_inputs=len(case.changed_inputs),
+        more=table_widths(case.disturbances, case.reference, case.bounds, case.prices, *sizes),
+        follow=follow,
+    )
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
@@ -571,29 +651,27 @@ def _planned_samples(case: Case) -> int:
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
     """Return the trace of a case that failed before its first sample."""
-    u_limits, y_limits = (
-        np.array([case.bounds[v.name] for v in variables]).reshape(-1, 2)
-        for variables in (case.inputs, case.outputs)
-    )
+    time = case.start_time + np.arange(_planned_samples(case), dtype=np.float64) * case.sampling_time
+    limits = Limits.over((*case.inputs, *case.outputs), len(case.inputs), case.bounds, time)
     return Trace(
         time=np.empty(0),
-        reference=np.empty((0, len(case.outputs))),
-        y=np.empty((0, len(case.outputs))),
-        measured=np.empty((0, len(case.measurements))),
-        u=np.empty((0, len(case.inputs))),
-        status=(),
-        solve_time=np.empty(0),
+        **_store(case, 1).written(),
         inputs=case.inputs,
         outputs=case.outputs,
         measurements=case.measurements,
-        bounds=Bounds(u_limits[:, 0], u_limits[:, 1], y_limits[:, 0], y_limits[:, 1]),
+        bounds=limits.bounds,
         sampling_time=case.sampling_time,
         planned_samples=_planned_samples(case),
         outcome=outcome,
         reason=reason,
         settings=dict(case.section["settings"]),
         changed_inputs=case.changed_inputs,
-        applied=np.empty((0, len(case.changed_inputs))),
+        disturbances=tuple(
+            case.variable(name) for name, disturbance in case.disturbances.items() if disturbance.is_known
+        ),
+        bands=tuple(v.name for v in case.outputs if isinstance(case.reference[v.name], Band)),
+        moving_limits=limits.moving,
+        charges=tuple(price.charge(name, case.variable(price.signal)) for name, price in case.prices.items()),
     )
 
 
@@ -623,6 +701,8 @@ def cases_of_problem(
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
     recording = {"recording": resolved.recording.digest if resolved.recording else None}
+    warm_up = resolved.warm_up_controller
+    warm_up_controller = None if warm_up is None else _type_and_settings(warm_up)
     for controller, section in study.controllers.items():
         content: dict[str, Any] = {}
         for name, scenario in study.scenarios.items():
@@ -661,6 +741,14 @@ def cases_of_problem(
                 memory_limit=study.loop.memory_limit,
                 conditions=resolved.conditions[name],
                 undriven=resolved.undriven[name],
+                disturbances=resolved.disturbances[name],
+                recorded_disturbances=resolved.recorded_disturbances,
+                recording_start=_recording_start(study, scenario),
+                prices=resolved.prices[name],
+                read=resolved.read,
+                forecast_horizon=resolved.forecast_horizon if study.disturbances else None,
+                warm_up=study.loop.warm_up,
+                warm_up_controller=warm_up_controller,
                 metrics=resolved.metrics,
                 late=resolved.late.get(controller, ""),
             )
@@ -676,6 +764,16 @@ def cases_of_problem(
             shared = _hash_of(case, content)
             for seed, called in chosen:
                 yield _with_seed(case, seed, called, shared)
+
+
+def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | None:
+    """Return when the experiment of a scenario begins [s]; None where nothing says it."""
+    recording = study.recording
+    if recording is not None and scenario.recording is not None:
+        recording = scenario.recording.of(recording)
+    if recording is None:
+        return None
+    return recording.begins(study.loop, is_disturbed=bool(study.disturbances))
 
 
 def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:

@@ -114,9 +114,28 @@ def resolve_stabiliser(
 ) -> StudyController | None:
     """Return the controller that keeps the plant while it is recorded, if there is one."""
     section = study.recording.controller if study.recording is not None else None
+    return _built_alone(("recording", "controller"), section, folder, errors, in_time)
+
+
+@independent
+def resolve_warm_up(
+    study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime
+) -> StudyController | None:
+    """Return the controller of the plant before the first sample, if there is one."""
+    section = study.loop.warm_up_controller
+    return _built_alone(("loop", "warm_up_controller"), section, folder, errors, in_time)
+
+
+def _built_alone(
+    place: Place,
+    section: StabiliserSection | None,
+    folder: Path,
+    errors: ValidationErrors,
+    in_time: CallsInTime,
+) -> StudyController | None:
+    """Return a controller of which no result is reported, and which has to control without a recording."""
     if section is None:
         return None
-    place = ("recording", "controller")
     named = StudyController("", "", {}, (*place, "settings"), section.settings)
     built = _build(named, section, folder, errors, in_time, {}) or named
     if built.uses_recording:

@@ -2,7 +2,9 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from datetime import date
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -11,12 +13,17 @@ from ddpc_cosim.codec import declared_fields, read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
+from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
+from ddpc_cosim.durations import seconds_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
+from ddpc_cosim.metrics import Ranking
+from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
+from ddpc_cosim.prices import Price
 from ddpc_cosim.settings import Search
-from ddpc_cosim.signals import Drift, GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import Band, Drift, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP
@@ -39,7 +46,7 @@ from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 
-Bounds = Mapping[str, tuple[float, float] | Mapping[str, float | str]]
+Bounds = Mapping[str, tuple[Limit, Limit] | Mapping[str, Limit | str]]
 """Limits by signal: both, or a table of ``min``, ``max`` and ``unit``; one left out is the plant's own."""
 
 
@@ -53,7 +60,7 @@ class Entry:
         The controller, or the name of one with its defaults.
     note : str
         One line about it for the report.
-    bounds : mapping of str to (float, float), or to mapping of str to float or str
+    bounds : mapping of str to (limit, limit), or to mapping of str to limit or str
         Limits that replace the study's for it, as of :class:`Problem`.
     sweep : sequence of mapping of str to sequence, or one of them
         Settings and values to try: of each mapping all combinations are run, with ``zip=True`` the first of
@@ -110,7 +117,11 @@ class Scenario:
         Tunable parameters that change during the run.
     drifts : sequence of Drift
         Tunable parameters that move linearly.
-    bounds : mapping of str to (float, float), or to mapping of str to float or str
+    known : mapping of str to str
+        What is known of disturbances, in place of what the problem says of them.
+    prices : mapping of str to float or Reference
+        Prices in place of the problem's, in its units.
+    bounds : mapping of str to (limit, limit), or to mapping of str to limit or str
         Limits in place of the problem's; infinite: none.
     preview : int or "horizon", optional
         How many future references a controller may see, or as many as it asks for; default: the problem's.
@@ -124,6 +135,8 @@ class Scenario:
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()
     drifts: Sequence[Drift] = ()
+    known: Mapping[str, Knowledge] = field(default_factory=dict)
+    prices: Mapping[str, float | Reference] = field(default_factory=dict)
     bounds: Bounds = field(default_factory=dict)
     preview: int | Literal["horizon"] | None = None
     excitation: Excitation | None = None
@@ -169,15 +182,19 @@ class Problem:
     plant : str, path, PlantModel or class, or mapping of str to these
         A plant of ``ddpc-cosim list plants``, an FMU or SSP file, equations, or a class derived from
         ``Plant``; of a coupled plant its parts by name.
-    sampling_time, duration : float
-        Time between samples and simulated time [s].
-    reference : Reference or mapping of str to Reference
-        Of the controlled output, or of each by name, in their units.
+    sampling_time, duration : float or str
+        Time between samples and simulated time [s], or as people say it: ``"15 min"``.
+    reference : Reference or Band, or mapping of str to these
+        What is wanted of the controlled output, or of each by name, in their units.
     inputs, outputs, measurements : sequence of str, optional
         What is driven, controlled and measured; default: all, and the controlled outputs.
-    bounds : mapping of str to (float, float), or to mapping of str to float or str
-        Limits of inputs and controlled outputs in place of the plant's; infinite: none. A mapping may have
-        ``min``, ``max`` and ``unit``; what it leaves out is the plant's own.
+    bounds : mapping of str to (limit, limit), or to mapping of str to limit or str
+        Limits of inputs and controlled outputs in place of the plant's, numbers or signals of time; infinite:
+        none. A mapping may have ``min``, ``max`` and ``unit``; what it leaves out is the plant's own.
+    disturbances : mapping of str to KnownDisturbance
+        What acts on the plant and is known: inputs that no controller drives, or outputs, by name.
+    prices : mapping of str to Price
+        What signals cost.
     excitation : Excitation, optional
         The experiment that data-driven controllers learn from, sampled as the loop; each case draws it with
         its own seed.
@@ -188,6 +205,11 @@ class Problem:
         ``time_column`` and ``time_tolerance``.
     recorded_inputs : mapping of str to Reference
         Signals of inputs that no controller drives during the experiment, in place of a scenario's.
+    recorded_disturbances : mapping of str to Reference
+        The same of known disturbances, in place of their own course.
+    recording_start : float, str or date, optional
+        Time of the experiment's first sample [s]; default: with known disturbances it ends where the loop
+        begins, else 0.
     parameters : mapping of str to float, int, bool or str
         Plant parameters.
     noise, conditions, events
@@ -196,12 +218,19 @@ class Problem:
         By name; empty: one, ``nominal``.
     preview : int, optional
         How many future references a controller may see; default: as many as it asks for.
-    start_time : float
-        Time of the first sample [s].
+    start_time : float, str or date
+        Time of the first sample [s], or ``"day 23"`` or a date: counted from the start of its year.
+    warm_up : float or str
+        How long the plant runs before the first sample, which is not judged [s].
+    warm_up_controller : Controller, optional
+        Controls it meanwhile; default: its own control, or inputs at rest.
     continue_recording : bool
         Start where the experiment ended instead of from rest.
     cost : mapping of str to mapping of str to float
         Weights of the quadratic cost that controllers are ranked by: ``outputs``, ``inputs``, ``changes``.
+    ranking : {"error", "money", "pareto"}, optional
+        What controllers are ranked by: errors or the cost, money, or money and discomfort both; default: the
+        last where there are prices, else the first.
     relevant : mapping of str to float, or to mapping of str to float
         The smallest difference of what is ranked by that matters: ``absolute``, of several outputs one for
         each, and ``percent`` of the best figure or of the task. Default: 1 %.
@@ -239,27 +268,34 @@ class Problem:
     """
 
     plant: Any
-    sampling_time: float
-    duration: float
-    reference: Reference | Mapping[str, Reference]
+    sampling_time: float | str
+    duration: float | str
+    reference: Reference | Band | Mapping[str, Reference | Band]
     inputs: Sequence[str] = ()
     outputs: Sequence[str] = ()
     measurements: Sequence[str] = ()
     bounds: Bounds = field(default_factory=dict)
+    disturbances: Mapping[str, KnownDisturbance] = field(default_factory=dict)
+    prices: Mapping[str, Price] = field(default_factory=dict)
     excitation: Excitation | None = None
     stabiliser: Controller | None = None
     recording: Recording | Mapping[str, Any] | None = None
     recorded_inputs: Mapping[str, Reference] = field(default_factory=dict)
+    recorded_disturbances: Mapping[str, Reference] = field(default_factory=dict)
+    recording_start: float | str | date | None = None
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     noise: GaussianNoise | Mapping[str, float] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()
     scenarios: Mapping[str, Scenario] = field(default_factory=dict)
     preview: int | None = None
-    start_time: float = 0.0
+    start_time: float | str | date = 0.0
+    warm_up: float | str = 0.0
+    warm_up_controller: Controller | None = None
     continue_recording: bool = False
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     relevant: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
+    ranking: Ranking | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     switches: Mapping[str, str] = field(default_factory=dict)
@@ -285,8 +321,11 @@ class Problem:
         if self.excitation is not None and self.recording is not None:
             faults.append("problem: give an excitation or a recording, not both")
         experiments = [self.excitation, *(scenario.excitation for scenario in self.scenarios.values())]
-        for excitation in filter(None, experiments):
-            faults += [f"problem: {fault}" for fault in sampling_faults(excitation, self.sampling_time)]
+        time = self.sampling_time
+        with suppress(ValueError):  # which is reported when it is run
+            seconds = seconds_of(time) if isinstance(time, str) else time
+            for excitation in filter(None, experiments):
+                faults += [f"problem: {fault}" for fault in sampling_faults(excitation, seconds)]
         if self.excitation is None and self.stabiliser is not None:
             faults.append("problem: stabiliser needs an excitation, which is added to its inputs")
         if faults:
@@ -309,19 +348,23 @@ class Problem:
         scenarios = self.scenarios or {"nominal": nominal}
         inputs = self._names("inputs") if any(scenario.excitation for scenario in scenarios.values()) else []
         references = self.reference
-        if isinstance(references, Reference):
+        if isinstance(references, Reference | Band):
             references = {self._names("outputs")[0]: references}
         tables = {
             "plant": self._plant_table(),
-            "loop": _of(LoopSection, self, "start"),
+            "loop": _of(LoopSection, self, "start", "warm_up_controller"),
             "reference": plain(references, "reference of {}"),
             "bounds": _limits(self.bounds),
+            "disturbances": plain(self.disturbances, "disturbance {}"),
+            "prices": plain(self.prices, "price {}"),
             "recording": self._recording_table(),
             "scenarios": {name: scenario.table(inputs) for name, scenario in scenarios.items()},
             "metrics": _of(MetricsSection, self),
         }
         if self.continue_recording:
             tables["loop"]["start"] = "recording-end"
+        if self.warm_up_controller is not None:
+            tables["loop"]["warm_up_controller"] = controller_table(self.warm_up_controller)
         words = {key: plain(getattr(self, key)) for key in ("title", "summary", "source", "report")}
         tables = absolute_paths(_given(tables | words), Path.cwd())
         return tables | ({"recording": {"file": recording}} if isinstance(self.recording, Recording) else {})
@@ -331,7 +374,8 @@ class Problem:
         if isinstance(self.recording, Recording):
             outputs = self._names("outputs")
             measured = list(self.measurements) or outputs
-            self.recording.write_csv(path, self._names("inputs"), outputs, measured)
+            known = list(self.disturbances)
+            self.recording.write_csv(path, self._names("inputs"), outputs, measured, known)
 
     def _plant_table(self) -> Table:
         coupling = {key: value for key, value in self.coupling.items() if key != "steps"}
@@ -359,7 +403,10 @@ class Problem:
         table = experiment_table(self.excitation, self._names("inputs"))
         if self.stabiliser is not None:
             table["controller"] = controller_table(self.stabiliser)
-        return table | _given({"inputs": plain(self.recorded_inputs, "recorded input {}")})
+        inputs = plain(self.recorded_inputs, "recorded input {}")
+        disturbances = plain(self.recorded_disturbances, "recorded disturbance {}")
+        start = plain(self.recording_start)
+        return table | _given({"inputs": inputs, "disturbances": disturbances, "start_time": start})
 
     def _names(self, which: str) -> list[str]:
         """Return the inputs or outputs that take part, where none are named those of the plant."""
@@ -369,7 +416,8 @@ class Problem:
 
         table = absolute_paths({"plant": self._plant_name()}, Path.cwd())["plant"]
         variables = PlantSpec.of(read(PlantSection, table), Path()).variables()
-        return list(getattr(variables, f"default_{which}") or getattr(variables, which))
+        every = getattr(variables, f"default_{which}") or getattr(variables, which)
+        return [name for name in every if which != "inputs" or name not in self.disturbances]
 
 
 def _plant(plant: Any, key: str) -> Table:
@@ -413,7 +461,9 @@ def _limits(bounds: Bounds) -> Table:
     return {
         name: plain(limits)
         if isinstance(limits, Mapping)
-        else dict(zip(("min", "max"), map(float, limits), strict=True))
+        else {
+            key: plain(limit, f"limit of {name}") for key, limit in zip(("min", "max"), limits, strict=True)
+        }
         for name, limits in bounds.items()
     }
 

@@ -12,13 +12,14 @@ from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import find_modules_in
 from ddpc_cosim.processes.limits import limits_warning
-from ddpc_cosim.signals import values_at
+from ddpc_cosim.signals import Band, Reference, values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import Fault, StudyFile, find_study
 from ddpc_cosim.study.problems import FlatStudy, flat_studies, has_key
-from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy, StudyCache, resolve
+from ddpc_cosim.study.resolve import Limits, ResolvedProblems, ResolvedStudy, StudyCache, resolve
 from ddpc_cosim.study.variants import with_variants
+from ddpc_cosim.variables import FloatArray
 
 _MOST_LISTED = 4
 
@@ -109,16 +110,14 @@ def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
     for name, problem in problems.items():
         loop = problem.study.loop
         time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
-        table = np.column_stack(
-            [values_at(problem.reference[v.name], f"reference of {v.name}", time) for v in problem.outputs]
-        )
         by_text: dict[str, list[tuple[str, str]]] = {}
         pairs = [
             (controller, scenario) for controller in problem.bounds for scenario in problem.scenario_bounds
         ]
         for controller, scenario in pairs:
             limits = problem.bounds[controller] | problem.scenario_bounds[scenario]
-            y_min, y_max = np.array([limits[v.name] for v in problem.outputs]).T
+            y_min, y_max = _tables(problem, limits, time)
+            table = _wanted(problem, y_min, y_max, time)
             for text in references_beyond_limits(problem.outputs, table, y_min, y_max):
                 by_text.setdefault(text, []).append((controller, scenario))
         for text, held in by_text.items():
@@ -127,6 +126,33 @@ def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
                 where += [", ".join(dict.fromkeys(word for pair in held for word in pair))]
             whose = f" ({': '.join(where)})" if where else ""
             warnings.warn(f"{text}{whose}; {CANNOT_FOLLOW}", CosimWarning, stacklevel=3)
+
+
+def _tables(problem: ResolvedStudy, limits: Limits, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper limits of the outputs at each time, shapes (len(time), p)."""
+    low, high = (
+        np.column_stack(
+            [
+                limit.at(time) if isinstance(limit, Reference) else np.full(len(time), limit)
+                for limit in (limits[v.name][side] for v in problem.outputs)
+            ]
+        )
+        for side in (0, 1)
+    )
+    return low, high
+
+
+def _wanted(problem: ResolvedStudy, y_min: FloatArray, y_max: FloatArray, time: FloatArray) -> FloatArray:
+    """Return what is wanted of the outputs, of bands the points nearest to what the limits allow."""
+    columns = list[FloatArray]()
+    for i, variable in enumerate(problem.outputs):
+        wanted, what = problem.reference[variable.name], f"reference of {variable.name}"
+        if isinstance(wanted, Band):
+            lower, upper = (values_at(edge, what, time) for edge in wanted.edges(variable))
+            columns.append(np.clip(np.clip(lower, y_min[:, i], y_max[:, i]), lower, upper))
+        else:
+            columns.append(values_at(wanted, what, time))
+    return np.column_stack(columns)
 
 
 def _warn_of_missing_libraries(problems: Mapping[str, ResolvedStudy]) -> None:

@@ -6,39 +6,55 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.csv_files import forget_cells
 from ddpc_cosim.description import PlantDescription, switch_faults
+from ddpc_cosim.disturbances import KnownDisturbance
+from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
+from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.plant_control import PlantControl
+from ddpc_cosim.prices import Price
 from ddpc_cosim.responses import Actuation, Response
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
-from ddpc_cosim.signals import Reference
+from ddpc_cosim.signals import Band, Reference
 from ddpc_cosim.study.controllers import (
     StudyController,
     late_call,
     resolve_controllers,
     resolve_stabiliser,
+    resolve_warm_up,
     time_limit,
 )
-from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
+from ddpc_cosim.study.disturbances import Disturbances
+from ddpc_cosim.study.file_format.sections import (
+    BandSection,
+    BoundsSection,
+    RecordingSection,
+    StabiliserSection,
+    Study,
+    StudyHead,
+)
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.prices import Prices
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
-from ddpc_cosim.variables import Variable
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, unit_shown
 
 _MOST_LISTED = 8
-Limits = dict[str, tuple[float, float]]
+Limits = dict[str, tuple[Limit, Limit]]
 
 _PLANT: Place = ("plant",)
 _RECORDING: Place = ("recording",)
@@ -56,13 +72,13 @@ class ResolvedStudy:
         The plant.
     inputs, outputs, measurements : tuple of Variable
         The signals that take part.
-    reference : dict of str to Reference
+    reference : dict of str to (Reference or Band)
         Of each controlled output, in its own unit.
-    bounds : dict of str to dict of str to (float, float)
+    bounds : dict of str to dict of str to pairs of (float or Reference)
         For each controller the limits of inputs and controlled outputs, in their own units.
-    shared_bounds : dict of str to (float, float)
+    shared_bounds : dict of str to pairs of (float or Reference)
         The same for who has none of its own.
-    scenario_bounds : dict of str to dict of str to (float, float)
+    scenario_bounds : dict of str to dict of str to pairs of (float or Reference)
         What each scenario puts in place of them.
     excitations : dict of str to (Excitation or None)
         The experiment of each scenario; each case draws it with its own seed.
@@ -70,6 +86,18 @@ class ResolvedStudy:
         Of each scenario, in the variables' own units.
     undriven : dict of str to tuple of Variable
         The inputs that have a signal in each scenario.
+    disturbances : dict of str to dict of str to KnownDisturbance
+        Those of each scenario, in the variables' own units; the signals of inputs are among the conditions.
+    recorded_disturbances : dict of str to Reference
+        Those that have a signal of their own in the experiment.
+    prices : dict of str to dict of str to Price
+        Those of each scenario, all of which are signals.
+    read : tuple of Variable
+        Outputs that are known disturbances, and neither controlled nor measured.
+    forecast_horizon : int
+        The longest horizon of the controllers.
+    warm_up_controller : StabiliserSection or None
+        The controller that warms up the plant, with all its settings.
     metrics : MetricSettings
         What all runs are judged by alike.
     recording : Recording or None
@@ -85,13 +113,19 @@ class ResolvedStudy:
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     measurements: tuple[Variable, ...]
-    reference: dict[str, Reference]
+    reference: dict[str, Reference | Band]
     bounds: dict[str, Limits]
     shared_bounds: Limits
     scenario_bounds: dict[str, Limits]
     excitations: dict[str, Excitation | None]
     conditions: dict[str, Conditions]
     undriven: dict[str, tuple[Variable, ...]]
+    disturbances: dict[str, dict[str, KnownDisturbance]]
+    recorded_disturbances: dict[str, Reference]
+    prices: dict[str, dict[str, Price]]
+    read: tuple[Variable, ...]
+    forecast_horizon: int
+    warm_up_controller: StabiliserSection | None
     metrics: MetricSettings
     recording: Recording | None
     late: dict[str, str]
@@ -198,6 +232,8 @@ class _Resolution:
         self.in_time = cache.in_time(time_limit(study))
         self.controllers = resolve_controllers(study, folder, errors, self.in_time, cache.late) or []
         self.stabiliser = resolve_stabiliser(study, folder, errors, self.in_time)
+        self.warm_up = resolve_warm_up(study, folder, errors, self.in_time)
+        self.horizon = max((controller.horizon for controller in self.controllers), default=0)
         self._check_report()
         for controller in self.controllers:
             self._check_search(controller)
@@ -212,11 +248,14 @@ class _Resolution:
         self.signals = SelectedSignals(study, self.variables, errors)
         self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
         self.measurements = self.signals.measurements
-        self.scenarios = Scenarios(self.signals)
+        self.disturbances = Disturbances(self.signals, self.horizon)
+        self.prices = Prices(self.signals, self.horizon)
+        self.scenarios = Scenarios(self.signals, self.disturbances)
         self.scenarios.check()
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
+        self._check_ranking()
         self._check_relevant()
         self._check_claims()
         self.references = self._references()
@@ -249,6 +288,12 @@ class _Resolution:
             excitations=self.excitations,
             conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
             undriven={name: self.scenarios.undriven(name) for name in self.study.scenarios},
+            disturbances={name: self.disturbances.of(name) for name in self.study.scenarios},
+            recorded_disturbances=self.disturbances.recorded or {},
+            prices={name: self.prices.of(name) for name in self.study.scenarios},
+            read=self._read_besides(),
+            forecast_horizon=self.horizon,
+            warm_up_controller=self._with_settings(self.study.loop.warm_up_controller, self.warm_up),
             metrics=self._metrics(),
             recording=self.recording,
             late={
@@ -265,10 +310,22 @@ class _Resolution:
 
     def _metrics(self) -> MetricSettings:
         cost, loop = self.study.metrics.cost, self.study.loop
-        largest = max((controller.horizon for controller in self.controllers), default=0)
         limits = map(loop.preview_of, self.study.scenarios.values())
-        preview = max(largest if limit is None else min(limit, largest) for limit in limits)
+        preview = max(self.horizon if limit is None else min(limit, self.horizon) for limit in limits)
         return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
+
+    def _read_besides(self) -> tuple[Variable, ...]:
+        """Return the outputs that are known disturbances, and neither controlled nor measured."""
+        others = self.disturbances.variables.keys() - {*self.outputs.names, *self.measurements.names}
+        known = self.disturbances.variables
+        return tuple(v for name, v in known.items() if name in others & self.variables.outputs.keys())
+
+    @staticmethod
+    def _with_settings(
+        section: StabiliserSection | None, built: StudyController | None
+    ) -> StabiliserSection | None:
+        """Return the section of a controller with all its settings."""
+        return section if section is None or built is None else replace(section, settings=built.settings)
 
     def _written_out(self) -> Study:
         """Return the study with every default filled in, every sweep written out and every path absolute."""
@@ -279,12 +336,14 @@ class _Resolution:
             "outputs": list(self.outputs.names),
             "measurements": list(self.measurements.names),
         }
-        if recording is not None and recording.controller is not None and self.stabiliser is not None:
-            controller = replace(recording.controller, settings=self.stabiliser.settings)
+        if recording is not None:
+            controller = self._with_settings(recording.controller, self.stabiliser)
             recording = replace(recording, controller=controller)
+        warm_up_controller = self._with_settings(study.loop.warm_up_controller, self.warm_up)
         return replace(
             study,
             plant=replace(study.plant, **plant),
+            loop=replace(study.loop, warm_up_controller=warm_up_controller),
             controllers={c.name: c.section(study.controllers[c.of]) for c in self.controllers},
             recording=recording,
         )
@@ -489,7 +548,8 @@ class _Resolution:
         section, chosen = self.study.recording, (self.inputs, self.outputs, self.measurements)
         if section is None or not section.file or not all(selection.is_known for selection in chosen):
             return None
-        signals = list(dict.fromkeys(name for selection in chosen for name in selection.names))
+        known = self.disturbances.variables
+        signals = list(dict.fromkeys((*(name for selection in chosen for name in selection.names), *known)))
         what = "input, output or measurement that takes part"
         self.errors.require_known((*_RECORDING, "columns"), what, section.columns, signals)
         inputs, outputs, measurements = (selection.variables for selection in chosen)
@@ -500,6 +560,7 @@ class _Resolution:
                 inputs=inputs,
                 outputs=outputs,
                 measurements=measurements,
+                disturbances=tuple(known.values()),
                 columns={name: header for name, header in section.columns.items() if name in signals},
                 time_column=section.time_column,
                 time_tolerance=section.time_tolerance,
@@ -520,6 +581,12 @@ class _Resolution:
                 self.errors.require_known((*place, key), "input", getattr(cost, key), self.inputs.names)
 
     @independent
+    def _check_ranking(self) -> None:
+        ranking = self.study.metrics.ranking
+        if ranking in ("money", "pareto") and not self.study.prices:
+            self.errors.add(("metrics", "ranking"), f'"{ranking}" needs prices', ("prices",))
+
+    @independent
     def _check_relevant(self) -> None:
         relevant, place = self.study.metrics.relevant, ("metrics", "relevant", "absolute")
         absolute = relevant.absolute if relevant else None
@@ -535,11 +602,54 @@ class _Resolution:
                 self.errors.add(place, f"one number for {len(names)} controlled outputs; {needed}")
 
     @independent
-    def _references(self) -> dict[str, Reference] | None:
-        sections = self.study.reference
+    def _references(self) -> dict[str, Reference | Band] | None:
+        sections, variables = self.study.reference, self.variables.outputs
         self.signals.require_each(("reference",), "controlled output", sections, self.outputs)
-        references = self.signals.build(("reference",), sections, self.variables.outputs)
-        return None if self.errors.found else references
+        lines = {name: section for name, section in sections.items() if not isinstance(section, BandSection)}
+        references: dict[str, Reference | Band] = {**self.signals.build(("reference",), lines, variables)}
+        for name, section in sections.items():
+            if isinstance(section, BandSection) and name in variables:
+                band = self._band(("reference", name), section, variables[name])
+                references |= {} if band is None else {name: band}
+        return None if self.errors.found else {name: references[name] for name in sections}
+
+    @independent
+    def _band(self, place: Place, section: BandSection, variable: Variable) -> Band | None:
+        """Return a band in a variable's own unit, whose edges never cross in the run."""
+        edges = {"lower": section.band.lower, "upper": section.band.upper}
+        sides = {
+            key: self.signals.level((*place, "band", key), edge, variable, section.unit, (*place, "unit"))
+            for key, edge in edges.items()
+        }
+        lower, upper = sides["lower"], sides["upper"]
+        if lower is None or upper is None:
+            return None
+        time = self._times()
+        shown = unit_shown(variable, section.unit)
+        self._check_order((*place, "band"), ("lower", "upper"), (lower.at(time), upper.at(time)), shown)
+        return Band(lower, upper)
+
+    def _check_order(
+        self, place: Place, names: tuple[str, str], sides: tuple[FloatArray, FloatArray], shown: DisplayUnit
+    ) -> None:
+        """Report where the first of two courses, in a variable's unit, is above the second."""
+        crossed = np.flatnonzero(sides[0] > sides[1])
+        if crossed.size:
+            k = crossed[0]
+            unit = f" {shown.name}" if shown.name else ""
+            low, high = (
+                f"{name} ({float(shown.from_unit(side[k : k + 1])[0]):g}{unit})"
+                for name, side in zip(names, sides, strict=True)
+            )
+            when = f"at t = {in_words(float(self._times()[k]))}"
+            needed = f"needed: {names[0]} up to {names[1]} at all times"
+            self.errors.add(place, f"{low} is above {high} {when}; {needed}")
+
+    def _times(self) -> FloatArray:
+        """Return the times of all samples [s], and of those as far ahead as any controller looks."""
+        loop = self.study.loop
+        count = loop.steps + 1 + self.horizon
+        return loop.start_time + np.arange(count, dtype=np.float64) * loop.sampling_time
 
     @independent
     def _shared_bounds(self) -> Limits:
@@ -563,16 +673,40 @@ class _Resolution:
         known = (*self.inputs.names, *self.outputs.names)
         self.errors.require_known(place, "input or controlled output", bounds, known)
         variables = {**self.variables.outputs, **self.variables.inputs}
-        limits = {}
-        for name, convert in self.signals.converters(place, bounds, variables).items():
-            low, high = bounds[name].min, bounds[name].max
-            low = variables[name].min if low is None else convert(low)
-            high = variables[name].max if high is None else convert(high)
-            if limits_error((low, high)) and (*place, name) not in self.errors.found:
-                room = f"leaves no room: [{low:g}, {high:g}] with the plant's own limits"
-                self.errors.add((*place, name), room, (*place, name))
-            limits[name] = (low, high)
+        limits = Limits()
+        for name in self.signals.converters(place, bounds, variables):
+            pair = self._limits_of((*place, name), bounds[name], variables[name])
+            limits |= {} if pair is None else {name: pair}
         return limits
+
+    @independent
+    def _limits_of(
+        self, place: Place, section: BoundsSection, variable: Variable
+    ) -> tuple[Limit, Limit] | None:
+        """Return the limits of one signal in its own unit, of which the lower is always below the upper."""
+        sides = {"min": (section.min, variable.min), "max": (section.max, variable.max)}
+        limits = list[Limit]()
+        for key, (level, of_plant) in sides.items():
+            signal = level
+            if level is not None:
+                signal = self.signals.level((*place, key), level, variable, section.unit, (*place, "unit"))
+                if signal is None:
+                    return None
+                signal = signal if isinstance(level, Reference) else float(signal.at(np.zeros(1))[0])
+            limits.append(of_plant if signal is None else signal)
+        low, high = limits
+        if not (isinstance(low, Reference) or isinstance(high, Reference)):
+            if limits_error((low, high)) and place not in self.errors.found:
+                room = f"leaves no room: [{low:g}, {high:g}] with the plant's own limits"
+                self.errors.add(place, room, place)
+            return low, high
+        time = self._times()
+        below, above = (
+            limit.at(time) if isinstance(limit, Reference) else np.full(len(time), limit)
+            for limit in (low, high)
+        )
+        self._check_order(place, ("min", "max"), (below, above), unit_shown(variable, section.unit))
+        return low, high
 
     @independent
     def _excitation(self) -> Excitation | None:

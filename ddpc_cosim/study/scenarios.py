@@ -10,6 +10,7 @@ from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
 from ddpc_cosim.signals import Constant, Drift, ParameterChange, Ramp, Reference, Steps
+from ddpc_cosim.study.disturbances import Disturbances
 from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
 from ddpc_cosim.variables import Variable
@@ -18,10 +19,11 @@ from ddpc_cosim.variables import Variable
 class Scenarios:
     """The scenarios of a study, whose signals are selected; what does not fit is reported."""
 
-    def __init__(self, signals: SelectedSignals) -> None:
+    def __init__(self, signals: SelectedSignals, known: Disturbances) -> None:
+        self._known = known
         self.study, self.signals, self.errors = signals.study, signals, signals.errors
         self.variables, self.inputs, self.outputs = signals.variables, signals.inputs, signals.outputs
-        self.measurements = signals.measurements
+        self._measured = tuple(dict.fromkeys((*signals.measurements.names, *known.variables)))
 
     def check(self) -> None:
         """Report parameters, noise, events and drifts that do not fit the plant or the run."""
@@ -31,7 +33,7 @@ class Scenarios:
             place = ("scenarios", name)
             at, noisy = (*place, "parameters"), (*place, "noise")
             check_parameters(self.errors, at, "parameter", scenario.parameters, parameters)
-            self.errors.require_known(noisy, "measurement", scenario.noise, self.measurements.names)
+            self.errors.require_known(noisy, "measurement", scenario.noise, self._measured)
             for i, event in enumerate(scenario.events):
                 self._check_in_run((*place, "events", i), event, "time")
                 self._check_event((*place, "events", i), event, tunable)
@@ -44,7 +46,7 @@ class Scenarios:
     def conditions(self, name: str) -> Conditions | None:
         """Return the conditions of a scenario; None if there are errors."""
         scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
-        driven, measured = self.inputs.names, self.measurements.names
+        driven, measured = self.inputs.names, self._measured
         undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
         known = may_have(driven, self.outputs.names, measured, self.variables.inputs)
         what_of_inputs, _ = known["inputs"]
@@ -58,6 +60,8 @@ class Scenarios:
             errors.require_known((*place, key), what, values, names)
         for signal in scenario.inputs:
             self._check_undriven((*place, "inputs", signal), scenario, signal)
+        for signal in self._known.of_inputs:
+            self._check_set_once(("disturbances", signal), scenario, signal)
         for key, values in scenario.effects.items():
             for signal, value in values.items():
                 self._check_effect((*place, key, signal), key, value, scenario)
@@ -81,7 +85,7 @@ class Scenarios:
         resting = {signal: Constant(undriven[signal].start) for signal in recorded}
         return Conditions(
             disturbances=disturbances,
-            inputs=resting | inputs,
+            inputs=resting | self._known.of_inputs_in(inputs) | inputs,
             recorded_inputs=recorded,
             effects=scenario.effects,
         )
@@ -170,7 +174,7 @@ class Scenarios:
         """Return the inputs that have a signal in a scenario, or while it is recorded."""
         scenario = self.study.scenarios[name]
         recorded = [sections for _, sections in self._recorded_inputs(scenario, ())]
-        named = dict.fromkeys(itertools.chain(scenario.inputs, *recorded))
+        named = dict.fromkeys(itertools.chain(self._known.of_inputs, scenario.inputs, *recorded))
         return tuple(self.variables.inputs[signal] for signal in named)
 
     def _recorded_inputs(

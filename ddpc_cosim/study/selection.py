@@ -9,9 +9,10 @@ from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.excitations import Excitation, MixedExcitation, excitation_of, excited_together
 from ddpc_cosim.loop_setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.signals import Reference
+from ddpc_cosim.signals import Reference, level_in_unit
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.variables import Variable, converter
+from fmu_plants.spelling import nearest
 
 K = TypeVar("K", str, int)
 
@@ -50,11 +51,18 @@ class SelectedSignals:
     def __init__(self, study: Study, variables: PlantDescription, errors: ValidationErrors) -> None:
         self.study, self.variables, self.errors = study, variables, errors
         plant = study.plant
-        self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, variables.default_inputs)
+        inputs = variables.default_inputs or tuple(variables.inputs)
+        # What a wrong name probably stands for is not driven either.
+        known = {name if name in inputs else nearest(name, inputs) for name in study.disturbances}
+        driven = [name for name in inputs if name not in known]
+        self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, driven)
         self.outputs = self._select(
-            _OUTPUTS, "output", plant.outputs, variables.outputs, variables.default_outputs
+            *(_OUTPUTS, "output", plant.outputs, variables.outputs),
+            variables.default_outputs or tuple(variables.outputs),
         )
-        self.measurements = self._select(_MEASUREMENTS, "output", plant.measurements, variables.outputs, ())
+        self.measurements = self._select(
+            *(_MEASUREMENTS, "output", plant.measurements, variables.outputs), tuple(variables.outputs)
+        )
         if not plant.measurements and not errors.in_doubt(_MEASUREMENTS):
             self.measurements = self.outputs
 
@@ -64,14 +72,14 @@ class SelectedSignals:
         what: str,
         given: list[str],
         known: Mapping[str, Variable],
-        default: tuple[str, ...],
+        default: Sequence[str],
     ) -> Selection:
         self.errors.require_known(place, what, given, known)
         for name in sorted({name for name in given if given.count(name) > 1}):
             self.errors.add(place, f'"{name}" is listed more than once')
         if self.errors.in_doubt(place):
             return Selection(tuple(known.values()), False, len(given))
-        chosen = tuple(known[name] for name in given or default or known)
+        chosen = tuple(known[name] for name in given or default)
         return Selection(chosen, True, len(chosen))
 
     def require_each(self, place: Place, what: str, given: Iterable[str], wanted: Selection) -> None:
@@ -100,6 +108,25 @@ class SelectedSignals:
             except (InvalidFieldError, ConfigError):  # reported before
                 continue
         return signals
+
+    def level(
+        self, place: Place, level: float | Reference, variable: Variable, unit: str = "", of_unit: Place = ()
+    ) -> Reference | None:
+        """Return a number or a signal as a signal in a variable's own unit; what is wrong is reported.
+
+        ``unit`` is that of what has none of its own, and stands at a place ``of_unit``.
+        """
+        try:
+            return level_in_unit(variable, level, unit)
+        except DataError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "file"), fault)
+        except InvalidFieldError:  # reported before
+            return None
+        except ConfigError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "unit") if getattr(level, "unit", "") else of_unit, fault)
+        return None
 
     def converters(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, split_key
 from ddpc_cosim.responses import Actuation, Response
+from ddpc_cosim.signals import Band
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.trace import Outcome
@@ -156,10 +157,13 @@ def _or_infinite(value: float) -> float:
 
 
 def reference_spans(resolved: ResolvedStudy) -> dict[str, float]:
-    """Return by how much each reference moves, in its display unit; of a constant one the nominal value."""
+    """Return by how much each reference, or edge of a band, moves, in display units; else nominal values."""
     loop = resolved.study.loop
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
-    moves = {
-        v.name: float(np.ptp(resolved.reference[v.name].at(time))) or v.nominal for v in resolved.outputs
-    }
-    return {v.name: moves[v.name] * v.shown_in.factor for v in resolved.outputs}
+    spans = dict[str, float]()
+    for variable in resolved.outputs:
+        wanted = resolved.reference[variable.name]
+        lines = wanted.edges(variable) if isinstance(wanted, Band) else (wanted,)
+        moved = max(float(np.ptp(line.at(time))) for line in lines) or variable.nominal
+        spans[variable.name] = moved * variable.shown_in.factor
+    return spans

@@ -62,11 +62,10 @@ def _allowed(hint: Any, info: SettingInfo) -> str:
     """Return the type of a key's value, and its range, in words."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return (
-            "table with `kind`"
-            if any(isinstance(a, Kinds) for a in arguments)
-            else _allowed(arguments[0], info)
-        )
+        kinds = next((argument for argument in arguments if isinstance(argument, Kinds)), None)
+        if kinds is None:
+            return _allowed(arguments[0], info)
+        return " or ".join(f"table with `{key}`" for key in (KIND, *kinds.marked))
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(_allowed(a, info) for a in arguments if a is not NoneType))
     if origin is Literal:
@@ -78,7 +77,9 @@ def _allowed(hint: Any, info: SettingInfo) -> str:
     if hint not in _TYPES:
         return "table" if dataclasses.is_dataclass(hint) else "any"
     limits = info.allowed if hint in (int, float) and info.allowed != "any" else ""
-    return " ".join(filter(None, ("path" if info.file and hint is str else _TYPES[hint], limits)))
+    kind = "path" if info.file and hint is str else _TYPES[hint]
+    kind = "number or duration" if hint is float and info.unit == "s" else kind
+    return " ".join(filter(None, (kind, limits)))
 
 
 def _toml(value: Any) -> str:

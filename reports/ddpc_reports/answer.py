@@ -49,7 +49,8 @@ def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings)
     if findings.lead is Lead.NOBODY and ranking.left_out:
         return Markup("")
     labels = {key: controller.label for key, controller in who.items()}
-    clause = lead_clause(findings, labels, {condition.scenario: condition.label for condition in seen})
+    scenarios = {condition.scenario: condition.label for condition in seen}
+    clause = lead_clause(findings, labels, scenarios, lambda key, value: formatter(key, 3)(value))
     counting = [condition for condition in seen if condition.scenario not in ranking.left_out]
     unseen = [condition.label for condition in seen if condition.scenario in ranking.left_out]
     offers = {
@@ -77,10 +78,14 @@ def _details(
     ranking = findings.standings
     if not findings.leaders:
         return Markup("")
+    if findings.lead is Lead.FRONT:
+        return Markup("")
+    if ranking.is_of_money and findings.following:
+        return ": " + _both(ranking, who, findings.leaders[0], findings.following)
     if findings.lead in (Lead.LEVEL, Lead.ALIKE):
         return ": " + _of_leaders(findings, [who[name] for name in findings.leaders[:_NAMED]])
     first = findings.leaders[0]
-    text = ": " + _values(ranking, first)
+    text = ": " + _values(ranking, who[first])
     if findings.lead is Lead.ONLY_ONE:
         return text + f" {over_words(ranking)}"
     if findings.following and findings.following not in offers and findings.lead is not Lead.ONLY_SOUND:
@@ -89,19 +94,25 @@ def _details(
     return text
 
 
+def _both(ranking: Standings, who: dict[str, ControllerResults], first: str, other: str) -> Markup:
+    """Write money and discomfort of the first and of the one that it is compared with."""
+    return Markup("{}, against {} of <i>{}</i>").format(
+        _values(ranking, who[first]), _values(ranking, who[other], brief=True), who[other].label
+    )
+
+
 def _of_leaders(findings: Findings, shown: Sequence[ControllerResults]) -> Markup:
     """Write the values of those that share the first rank, and how far they are apart."""
     ranking = findings.standings
     if len(ranking.keys) > 1 or len(findings.leaders) == 1:
         values = [
-            italic(controller.label) + " " + _values(ranking, controller.key, brief=True)
-            for controller in shown
+            italic(controller.label) + " " + _values(ranking, controller, brief=True) for controller in shown
         ]
         return Markup("; ").join(values)
     key = ranking.keys[0]
     show = formatter(key, 3)
     medians = join_words([show(ranking.samples[key][controller.key].median) for controller in shown])
-    text = Markup("{} {}").format(metric_name(key), medians)
+    text = Markup("{} {}").format(metric_name(key, shown[0].cases[0].metrics), medians)
     if not ranking.tested:
         return text
     if findings.lead is Lead.ALIKE:
@@ -118,15 +129,16 @@ def _why_alike(difference: Difference) -> str:
     return f" (corrected p {p_words(difference.corrected)})" if difference.low * difference.high > 0 else ""
 
 
-def _values(ranking: Standings, name: str, *, brief: bool = False) -> Markup:
+def _values(ranking: Standings, controller: ControllerResults, *, brief: bool = False) -> Markup:
     """Write the medians of a controller by which it is ranked, with intervals unless brief."""
-    parts = []
-    for key in ranking.keys:
-        sample = ranking.samples[key][name]
+    parts, several = [], len(ranking.discomforts or ranking.keys) > 1
+    for key in dict.fromkeys((*ranking.keys, *ranking.discomforts)):
+        sample = ranking.samples[key][controller.key]
         interval = "" if brief else _ends(sample.low, sample.high, key)
-        of = f" of {metric_signal(key)}" if len(ranking.keys) > 1 else ""
+        signal = metric_signal(key) if several else ""
+        of = f" of {signal}" if signal else ""
         parts.append(f"{with_unit(significant(sample.median, 3), metric_unit(key))}{interval}{of}")
-    what = "" if brief else f"{metric_name(ranking.keys[0])} "
+    what = "" if brief else f"{metric_name(ranking.keys[0], controller.cases[0].metrics)} "
     return Markup("{}{}").format(what, join_words(parts))
 
 

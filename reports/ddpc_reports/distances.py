@@ -73,7 +73,9 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
     for results in problems:
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
-            runs[results.study.name] = shares_of(results.cases, points, headline(keys))
+            runs[results.study.name] = shares_of(
+                results.cases, points, headline(keys, results.study.metrics.ranking)
+            )
             for kind, medians in _costs(results, points, keys).items():
                 costs[kind].append(medians)
     if not runs:

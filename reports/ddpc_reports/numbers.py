@@ -39,7 +39,13 @@ def unit_symbol(unit: str) -> str:
 
 
 def difference_symbol(unit: str) -> str:
-    """Return the symbol for a difference of two values: of temperatures in degC, it is in K."""
+    """Return the symbol for a difference of two values: of temperatures in degC, it is in K.
+
+    So it is of a difference times a time.
+    """
+    difference, point, time = unit.rpartition(".")
+    if point and difference in _DIFFERENCES and time in ("s", "h"):
+        return f"{_DIFFERENCES[difference]}\u00b7{time}"
     return _DIFFERENCES.get(unit) or unit_symbol(unit)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
 from ddpc_cosim import FloatArray, Recording, Variable, judge_prediction
@@ -165,7 +166,7 @@ def fit_by_model(
     states : array, shape (T, n)
         Its state at every sample: what is known before the input of the sample is decided.
     recording : Recording
-        Inputs and outputs at the same samples, off the operating point.
+        Inputs, outputs and disturbances at the same samples, off the operating point.
     steps : int
         Samples that are predicted.
     head : int
@@ -181,8 +182,8 @@ def fit_by_model(
     first = window_starts(len(states), steps + 1, recording.seams)
     x = states[first]
     for step in range(steps):
-        x = x @ model.a.T + recording.u[first + step] @ model.b.T
-    errors = recording.y[first + steps] - x @ model.c.T
+        x = x @ model.a.T + recording.u[first + step] @ model.b.T + recording.d[first + step] @ model.e.T
+    errors = recording.y[first + steps] - x @ model.c.T - recording.d[first + steps] @ model.f.T
     fitted, held_out = errors[first + steps < head], errors[first >= head]
     return _in_parts(fitted, held_out, recording.y) if len(fitted) and len(held_out) else None
 
@@ -195,6 +196,7 @@ def head_of(recording: Recording) -> Recording:
         u=recording.u[:head],
         y=recording.y[:head],
         measured=recording.measured[:head],
+        d=recording.d[:head],
         seams=tuple(seam for seam in recording.seams if seam < head),
     )
 
@@ -251,10 +253,15 @@ def standardised(signals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
     return (signals - means) / deviations, means, deviations
 
 
+def stands_still(signals: FloatArray) -> NDArray[np.bool_]:
+    """Return which signals, time along axis 0, are constant but for rounding, shape (width,)."""
+    means = np.maximum(np.abs(signals.mean(axis=0)), 1.0)
+    return np.asarray(np.maximum(signals.std(axis=0), np.finfo(float).tiny) < _NEGLIGIBLE * means)
+
+
 def _deviations(signals: FloatArray) -> FloatArray:
     size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
-    constant = size < _NEGLIGIBLE * np.maximum(np.abs(signals.mean(axis=0)), 1.0)
-    return np.asarray(np.where(constant, 1.0, size))
+    return np.asarray(np.where(stands_still(signals), 1.0, size))
 
 
 def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Sequence[Span]) -> list[str]:

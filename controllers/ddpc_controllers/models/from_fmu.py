@@ -23,7 +23,15 @@ from ddpc_controllers.data.hankel import hankel_matrix, numerical_rank
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.identification import reduced
 from ddpc_controllers.models.linear import ModelSource, SampledModel, StateSpace
-from ddpc_cosim import ConfigError, CosimWarning, FloatArray, Loop, Plant, check_settings, setting
+from ddpc_cosim import (
+    ConfigError,
+    CosimWarning,
+    FloatArray,
+    Loop,
+    Plant,
+    check_settings,
+    setting,
+)
 
 if TYPE_CHECKING:
     from ddpc_cosim import FMUPlant
@@ -186,14 +194,14 @@ class FMUModel(ModelSource):
             return pulse_model(
                 plant,
                 loop.sampling_time,
-                operating_input=self._inputs(plant).tolist(),
+                operating_input=self._inputs(plant, len(loop.inputs)).tolist(),
                 settling_samples=math.ceil(self.settling_time / loop.sampling_time),
                 parameters=self.parameters,
             )
 
     def _differentiated(self, loop: Loop) -> SampledModel:
         with self._open(loop, "model-exchange") as plant:
-            u_0 = self._inputs(plant)
+            u_0 = self._inputs(plant, len(loop.inputs))
             plant.reset(self.parameters)
             if self.settling_time > 0.0:
                 plant.step(u_0, self.settling_time)
@@ -203,10 +211,11 @@ class FMUModel(ModelSource):
                 linear = plant.linearise(u_0, derivatives=kind)
         return replace(StateSpace.about(linear).model(loop), warnings=linear.warnings)
 
-    def _inputs(self, plant: Plant) -> FloatArray:
-        """Return the inputs at the operating point, shape (m,)."""
+    def _inputs(self, plant: Plant, driven: int) -> FloatArray:
+        """Return the inputs at the operating point, and after those driven the known disturbances."""
         start = [variable.start for variable in plant.inputs]
         given = np.array(self.operating_input or start, dtype=np.float64)
+        given = np.append(given, start[len(given) :] if len(given) == driven else [])
         if given.shape != (len(start),):
             raise ConfigError(
                 f"FMUModel: operating_input has shape {given.shape}; needed: {len(start)} numbers"
@@ -220,13 +229,21 @@ class FMUModel(ModelSource):
             raise ConfigError('FMUModel: only studies know what fmu = "{plant}" is; give the path of an FMU')
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", CosimWarning)  # whoever uses the FMU as a plant is told
-            plant = FMUPlant(
-                self.fmu,
-                inputs=[variable.name for variable in loop.inputs],
-                outputs=[variable.name for variable in loop.outputs],
-                fmi_type=fmi_type,
-                isolated=self.isolated,
-            )
+            try:
+                plant = FMUPlant(
+                    self.fmu,
+                    inputs=[variable.name for variable in (*loop.inputs, *loop.disturbances)],
+                    outputs=[variable.name for variable in loop.outputs],
+                    fmi_type=fmi_type,
+                    isolated=self.isolated,
+                )
+            except ConfigError as error:
+                if not loop.disturbances:
+                    raise
+                names = ", ".join(variable.name for variable in loop.disturbances)
+                what = f"the FMU's inputs have to include the known disturbances ({names})"
+                remedy = "a model identified from a recording knows measured ones, too"
+                raise ConfigError([*error.faults, f"FMUModel: {what}; {remedy}"]) from error
         faults = _other_units(loop, plant)
         if faults:
             plant.close()
@@ -236,7 +253,8 @@ class FMUModel(ModelSource):
 
 def _other_units(loop: Loop, plant: Plant) -> list[str]:
     """Return which signals of the loop are not in the FMU's units: its model would not be theirs."""
-    pairs = zip((*loop.inputs, *loop.outputs), (*plant.inputs, *plant.outputs), strict=True)
+    seen = (*loop.inputs, *loop.disturbances, *loop.outputs)
+    pairs = zip(seen, (*plant.inputs, *plant.outputs), strict=True)
     return [
         f'FMUModel: "{modelled.name}" is in {modelled.unit} in the FMU and in {seen.unit or "no unit"} '
         "in the loop, which is scaled or another plant's"

@@ -1,10 +1,12 @@
 """Linear models from a recording: an autoregressive model by least squares, realised in state space.
 
-    y_k = sum_i A_i y_k-i + B_i u_k-i + c,   i = 1 ... lags
+    y_k = sum_i A_i y_k-i + B_i u_k-i + E_i d_k-i + E_0 d_k + c,   i = 1 ... lags
 
 fits noise-free data of a linear plant exactly where ``lags`` reaches the plant's lag (L. Ljung, System
-Identification, 2nd ed., section 7.3). The model can be reduced to fewer states by a balanced realisation
-of its impulse response (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031).
+Identification, 2nd ed., section 7.3). Known disturbances d count as further inputs; that of the sample
+itself may show too, since what is measured of it can be that of the interval before. The model can be reduced
+to fewer states by a balanced realisation of its impulse response (J.-N. Juang, R. S. Pappa, J. Guidance 8(5),
+1985, doi:10.2514/3.20031).
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ from ddpc_controllers.data.hankel import (
     window_starts,
     without_first,
 )
-from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of, standardised
+from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of, standardised, stands_still
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
@@ -57,8 +59,8 @@ class Identified(ModelSource):
     def model(self, loop: Loop) -> SampledModel:
         """Identify the model; see :class:`~ddpc_controllers.models.linear.ModelSource`."""
         recording = matching_recording(loop, "Identified")
-        m, p = recording.u.shape[1], recording.y.shape[1]
-        needed = self.recording_length(m, p)
+        m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
+        needed = self.recording_length(m + n_d, p)
         depth = (self.lags or 1) + 1
         if count_windows(len(recording), depth, recording.seams) < needed - depth + 1:
             take = f"{self.lags} lags take" if self.lags else "choosing the lags takes"
@@ -69,7 +71,8 @@ class Identified(ModelSource):
         lags = self.lags or choose_lags(recording)
         past, newest_u = _past(_standardised(recording)[0], lags, recording.seams), slice(p, p + m)
         require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
-        return reduced(fit_arx(recording, lags, self.ridge), self.order)
+        model = reduced(fit_arx(recording, lags, self.ridge), self.order)
+        return replace(model, warnings=never_moved(loop, recording))
 
     def test(self, loop: Loop, steps: int) -> PredictionTest | None:
         """Return how a model of the recording's first samples predicts its last ones so many steps ahead.
@@ -78,15 +81,15 @@ class Identified(ModelSource):
         samples are left.
         """
         recording = matching_recording(loop, "Identified")
-        m, p = recording.u.shape[1], recording.y.shape[1]
+        m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
         first = head_of(recording)
-        fewest, depth = self.recording_length(m, p), self.lags + 1
+        fewest, depth = self.recording_length(m + n_d, p), self.lags + 1
         if self.order or count_windows(len(first), depth, first.seams) < fewest - depth + 1:
             return None
         lags = self.lags or choose_lags(first)
         model = fit_arx(first, lags, self.ridge)
         used = without_first(recording, lags)
-        moved = replace(used, u=used.u - model.u_0, y=used.y - model.y_0)
+        moved = replace(used, u=used.u - model.u_0, y=used.y - model.y_0, d=used.d - model.d_0)
         known = window_starts(len(recording), lags + 1, recording.seams) + lags
         # What is known when an input is decided includes the output of that sample: the state after it.
         return fit_by_model(
@@ -117,11 +120,12 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
         A_2, ... below each other, B holds B_1, B_2, ...; ``one_step_error`` is the root mean square of
         the one-step prediction errors of the output predicted worst.
     """
-    m, p = recording.u.shape[1], recording.y.shape[1]
+    m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
     explained = window_starts(len(recording), lags + 1, recording.seams) + lags
     rows = len(explained)
     signals, means, size = _standardised(recording)
-    past = np.hstack([_past(signals, lags, recording.seams), np.ones((rows, 1))])
+    now = signals[explained, p + m :]
+    past = np.hstack([_past(signals, lags, recording.seams), now, np.ones((rows, 1))])
     penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
     system = np.vstack([past, penalty])
     target = np.vstack([signals[explained, :p], np.zeros((len(penalty), p))])
@@ -129,19 +133,26 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
     solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
     error = (past @ solution - target[:rows]) * size[:p]
 
-    coefficients = solution[:-1].reshape(lags, p + m, p).transpose(0, 2, 1)  # lag, output, signal
-    coefficients = coefficients * size[:p, np.newaxis] / size
-    constant = means[:p] + solution[-1] * size[:p] - (coefficients @ means).sum(axis=0)
-    past_y, past_u = coefficients[..., :p], coefficients[..., p:]
+    width, unit_y = p + m + n_d, size[:p, np.newaxis]
+    coefficients = solution[: lags * width].reshape(lags, width, p).transpose(0, 2, 1)  # lag, output, signal
+    coefficients = coefficients * unit_y / size
+    at_once = solution[lags * width : -1].T * unit_y / size[p + m :]
+    d_0 = means[p + m :]  # the constant is what is left with disturbances as they are on average
+    constant = means[:p] + solution[-1] * size[:p]
+    constant = constant - (coefficients[..., : p + m] @ means[: p + m]).sum(axis=0)
+    past_y, past_u, past_d = np.split(coefficients, [p, p + m], axis=2)
     a = np.zeros((lags * p, lags * p))
     a[:, :p] = past_y.reshape(lags * p, p)
     a[:-p, p:] = np.eye((lags - 1) * p)
     b = past_u.reshape(lags * p, m)
+    e = (past_d + past_y @ at_once).reshape(lags * p, n_d)
     # The inputs and outputs nearest to zero at which the model with its constant rests.
     gain = np.hstack([-past_u.sum(axis=0), np.eye(p) - past_y.sum(axis=0)])
     rest, *_ = np.linalg.lstsq(gain, constant, rcond=_AT_REST)
     fit = {"lags": float(lags), "one_step_error": float(np.sqrt(np.square(error).mean(axis=0)).max())}
-    return SampledModel(a, b, np.eye(p, lags * p), rest[:m], rest[m:], len(recording), fit)
+    operating_point = rest[:m], rest[m:]
+    known = {"e": e, "f": at_once, "d_0": d_0}
+    return SampledModel(a, b, np.eye(p, lags * p), *operating_point, len(recording), fit, **known)
 
 
 def choose_lags(recording: Recording) -> int:
@@ -152,22 +163,25 @@ def choose_lags(recording: Recording) -> int:
     next one is worse: of a dead time nothing shows before the last of its samples. What is explained to eight
     digits counts as explained.
     """
-    m, p, samples, seams = recording.u.shape[1], recording.y.shape[1], len(recording), recording.seams
+    samples, seams = len(recording), recording.seams
+    p, n_d = recording.y.shape[1], recording.d.shape[1]
+    signals, _, _ = _standardised(recording)
+    width = signals.shape[1]
     enough = (
         n
         for n in range(2, _MOST_LAGS + 1)
-        if _samples_to_choose(n, m + p) - n <= count_windows(samples, n + 1, seams)
+        if _samples_to_choose(n, width) - n <= count_windows(samples, n + 1, seams)
     )
     most = max(enough, default=1)
-    signals, _, _ = _standardised(recording)
     explained = window_starts(samples, most + 1, seams) + most
     rows = len(explained)
     # The newest first: a triangular factor shows what is left of the outputs after every number of lags.
-    known = [np.ones((rows, 1)), _past(signals, most, seams), signals[explained, :p]]
+    at_once = [np.ones((rows, 1)), signals[explained, width - n_d :]]
+    known = [*at_once, _past(signals, most, seams), signals[explained, :p]]
     left = np.square(np.asarray(np.linalg.qr(np.hstack(known), mode="r"))[:, -p:])
     lags = np.arange(1, most + 1)
-    variance = np.array([left[1 + n * (m + p) :].sum(axis=0) / rows for n in lags.tolist()])
-    criterion = rows * np.log(variance + _EXACT**2).sum(axis=1) + np.log(rows) * lags * (m + p) * p
+    variance = np.array([left[1 + n_d + n * width :].sum(axis=0) / rows for n in lags.tolist()])
+    criterion = rows * np.log(variance + _EXACT**2).sum(axis=1) + np.log(rows) * lags * width * p
     return int(lags[np.argmin(criterion)])
 
 
@@ -178,23 +192,34 @@ def _samples_to_choose(lags: int, signals: int) -> int:
 
 def _observed(model: SampledModel, recording: Recording, lags: int) -> FloatArray:
     """Return the states of a model in observer form given by the samples before, shape (T - lags, n)."""
-    u, y = recording.u - model.u_0, recording.y - model.y_0
-    p, m = y.shape[1], u.shape[1]
-    by_lag = np.hstack([model.a[:, :p], model.b]).reshape(lags, p, p + m)
-    past = _past(np.hstack([y, u]), lags, recording.seams).reshape(-1, lags, p + m)
+    u, d = recording.u - model.u_0, recording.d - model.d_0
+    y = recording.y - model.y_0 - d @ model.f.T
+    p, width = y.shape[1], y.shape[1] + u.shape[1] + d.shape[1]
+    by_lag = np.hstack([model.a[:, :p], model.b, model.e]).reshape(lags, p, width)
+    past = _past(np.hstack([y, u, d]), lags, recording.seams).reshape(-1, lags, width)
     blocks = [np.einsum("tls,lps->tp", past[:, : lags - i], by_lag[i:]) for i in range(lags)]
     return np.hstack(blocks)
 
 
 def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return outputs and inputs side by side, off their means and in parts of their size; means; sizes."""
-    return standardised(np.hstack([recording.y, recording.u]))
+    """Return y, u and d side by side, off their means and in parts of their size; means; sizes."""
+    return standardised(np.hstack([recording.y, recording.u, recording.d]))
 
 
 def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:
     """Return the samples before each that has ``lags`` of them, the newest first, side by side."""
     first = window_starts(len(signals), lags + 1, seams)
     return np.hstack([signals[first + lags - i] for i in range(1, lags + 1)])
+
+
+def never_moved(loop: Loop, recording: Recording) -> tuple[str, ...]:
+    """Return a warning for every known disturbance whose effect a recording does not show."""
+    return tuple(
+        f"{variable.name} never moved in the recording, so its effect is not in the data and counts as none: "
+        f"let it move in the experiment (recording.disturbances.{variable.name})"
+        for variable, still in zip(loop.disturbances, stands_still(recording.d), strict=True)
+        if still
+    )
 
 
 def markov_parameters(model: SampledModel, count: int) -> FloatArray:
@@ -214,6 +239,7 @@ def reduced(model: SampledModel, order: int) -> SampledModel:
     """
     if not 0 < order < len(model.a):
         return model
-    response = markov_parameters(model, 2 * len(model.a) + 1)
-    a, b, c = realise(response, order)
-    return replace(model, a=a, b=b, c=c)
+    m = model.b.shape[1]
+    every = replace(model, b=np.hstack([model.b, model.e]))
+    a, b, c = realise(markov_parameters(every, 2 * len(model.a) + 1), order)
+    return replace(model, a=a, b=b[:, :m], c=c, e=b[:, m:])

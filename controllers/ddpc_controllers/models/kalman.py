@@ -1,10 +1,10 @@
 """A Kalman filter for a linear model with a constant disturbance, and the controllers that rest on it.
 
-    x^ <- x^ + K (y - C x^),   x^ <- A x^ + B u,   K = P C' (C P C' + R)^-1
+    x^ <- x^ + K (y - C x^ - F d),   x^ <- A x^ + B u + E d,   K = P C' (C P C' + R)^-1
 
-with P the covariance of the steady prediction error.
+with P the covariance of the steady prediction error. Known disturbances are inputs d of the filter.
 
-The disturbance d is a state of its own, ``d+ = d``, that the outputs or the inputs carry; a regulator that
+An unknown one is a state of its own, ``w+ = w``, that the outputs or the inputs carry; a regulator that
 rejects its estimate has no offset (G. Pannocchia, J. B. Rawlings, Disturbance models for offset-free
 model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
@@ -16,8 +16,8 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_info
-from ddpc_controllers.data.hankel import numerical_rank, resting_input
+from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.data.hankel import numerical_rank, resting_input, running_past
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.control_api import estimator_covariance
@@ -32,6 +32,7 @@ from ddpc_cosim import (
     FloatArray,
     Log,
     Loop,
+    Recording,
     Sample,
     setting,
 )
@@ -39,6 +40,7 @@ from ddpc_cosim import (
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
 
+NO_DISTURBANCE: FloatArray = np.empty(0)
 _DETECTABLE = 1e-9
 _EVERY_STATE = 1e-9
 _FEWEST_STEPS = 5
@@ -62,10 +64,10 @@ class Observer:
 
     Attributes
     ----------
-    a, b, c : array
-        The model of ``(x, d, 1)``, the 1 carrying the operating point: inputs and outputs are in their units.
-    state : array, shape (n + nd + 1,)
-        The estimate of ``(x, d, 1)``; changed in place.
+    a, b, c, e, f : array
+        The model of ``(x, w, 1)``, the 1 carrying the operating point: all signals are in their units.
+    state : array, shape (n + n_w + 1,)
+        The estimate of ``(x, w, 1)``; changed in place.
 
     Raises
     ------
@@ -97,33 +99,42 @@ class Observer:
         covariance = estimator_covariance(a, c, drive, r)
         self._gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T  # P C' (C P C' + R)^-1
 
-        self.a = np.block([[a, -b @ model.u_0[:, np.newaxis]], [np.zeros((1, n + size)), np.ones((1, 1))]])
+        n_d = len(model.d_0)
+        e = np.vstack([model.e, np.zeros((size, n_d))])
+        constant = -b @ model.u_0[:, np.newaxis] - e @ model.d_0[:, np.newaxis]
+        self.a = np.block([[a, constant], [np.zeros((1, n + size)), np.ones((1, 1))]])
         self.b = np.vstack([b, np.zeros((1, m))])
-        self.c = np.hstack([c, model.y_0[:, np.newaxis]])
+        self.c = np.hstack([c, (model.y_0 - model.f @ model.d_0)[:, np.newaxis]])
+        self.e, self.f = np.vstack([e, np.zeros((1, n_d))]), model.f
         self.state = np.zeros(n + size + 1)
         self.state[-1] = 1.0
 
-    def rest(self, u: FloatArray, y: FloatArray) -> None:
-        """Suppose that the plant rests at u, shape (m,), and y, shape (p,), as nearly as it can."""
-        self.state[:] = self.resting_law(u) @ np.append(y, 1.0)
+    def rest(self, u: FloatArray, y: FloatArray, d: FloatArray) -> None:
+        """Suppose that the plant rests at u, y and d, shapes (m,), (p,), (n_d,), as nearly as it can."""
+        self.state[:] = self.resting_law(u, d) @ np.append(y, 1.0)
 
-    def resting_law(self, u: FloatArray) -> FloatArray:
-        """Return the state at rest at u, given ``(y, 1)``: shape (n + nd + 1, p + 1)."""
+    def resting_law(self, u: FloatArray, d: FloatArray) -> FloatArray:
+        """Return the state at rest at u and d, given ``(y, 1)``: shape (n + n_w + 1, p + 1)."""
         free, p = slice(None, -1), len(self.c)
         steady = np.vstack([self.a[free, free] - np.eye(len(self.a) - 1), self.c[:, free]])
-        constant = np.append(-self.a[free, -1] - self.b[free] @ u, -self.c[:, -1])
+        drift = self.a[free, -1] + self.b[free] @ u + self.e[free] @ d
+        constant = np.append(-drift, -self.c[:, -1] - self.f @ d)
         target = np.column_stack([np.eye(len(constant), p, k=p - len(constant)), constant])
         law = np.linalg.lstsq(steady, target, rcond=_DETECTABLE)[0]
         return np.vstack([law, np.eye(1, p + 1, k=p)])
 
-    def correct(self, y: FloatArray) -> None:
-        """Take a measurement, shape (p,), as far as it is finite."""
-        surprise = y - self.c @ self.state
+    def expected(self, d: FloatArray) -> FloatArray:
+        """Return the outputs that the estimate shows with disturbances d, shape (p,)."""
+        return np.asarray(self.c @ self.state + self.f @ d)
+
+    def correct(self, y: FloatArray, d: FloatArray) -> None:
+        """Take measurements, shapes (p,) and (n_d,), the outputs as far as they are finite."""
+        surprise = y - self.expected(d)
         self.state[:-1] += self._gain @ np.where(np.isfinite(surprise), surprise, 0.0)
 
-    def predict(self, u: FloatArray) -> None:
-        """Go on by one sample with inputs u, shape (m,)."""
-        self.state[:] = self.a @ self.state + self.b @ u
+    def predict(self, u: FloatArray, d: FloatArray) -> None:
+        """Go on by one sample with inputs u, shape (m,), and disturbances d, shape (n_d,)."""
+        self.state[:] = self.a @ self.state + self.b @ u + self.e @ d
 
     def constant(self, code: Code) -> str:
         """Add the filter to code in C; return its name."""
@@ -138,12 +149,13 @@ class Observer:
         named = {name: code.doubles(table) for name, table in tables.items()}
         return code.constant("Observer", m=self.b.shape[1], p=p, n=n, **named)
 
-    def follow(self, u: FloatArray, y: FloatArray) -> None:
-        """Run along a recording that begins at rest: u, shape (T, m), and y, shape (T, p)."""
-        self.rest(u[0], y[0])
-        for applied, measured in zip(u, y, strict=True):
-            self.correct(measured)
-            self.predict(applied)
+    def follow(self, recording: Recording) -> None:
+        """Run along a recording, in one piece, that begins at rest, up to its last measurement."""
+        self.rest(recording.u[0], recording.y[0], recording.d[0])
+        self.correct(recording.y[0], recording.d[0])
+        for k in range(1, len(recording)):
+            self.predict(recording.u[k - 1], recording.d[k - 1])
+            self.correct(recording.y[k], recording.d[k])
 
 
 def _preferred(model: SampledModel) -> tuple[Disturbance, Disturbance]:
@@ -222,8 +234,8 @@ class ModelBased(ScaledSignals):
         """Return the signals it uses, and its prior information about the plant."""
         model = self.model
         if isinstance(model, Identified):
-            return prior_info("nothing", loop.outputs)
-        return prior_info(f"a linear model, by {type(model).__name__}", loop.outputs)
+            return self._facts("nothing", loop.outputs)
+        return self._facts(f"a linear model, by {type(model).__name__}", loop.outputs)
 
     def start(self, loop: Loop) -> None:
         """Get the model, and start on the loop in scaled signals.
@@ -235,9 +247,9 @@ class ModelBased(ScaledSignals):
         ConfigError
             The model or a setting does not fit the loop.
         """
-        scales = self._scales = Scales(loop, self.scaling)
-        self._model = self._scaled_model(loop, scales)
-        self._judgement = self._judge(scales.loop)
+        loop = self._see(loop)
+        self._model = self._scaled_model(loop, self._scales)
+        self._judgement = self._judge(self._scales.loop)
         self._start_scaled()
 
     def _judge(self, loop: Loop) -> Judgement:
@@ -273,6 +285,9 @@ class ModelBased(ScaledSignals):
             c=given.c / scales.y[:, None],
             u_0=given.u_0 / scales.u,
             y_0=given.y_0 / scales.y,
+            e=given.e * scales.d,
+            f=given.f * scales.d / scales.y[:, None],
+            d_0=given.d_0 / scales.d,
         )
 
     def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:
@@ -283,29 +298,35 @@ class ModelBased(ScaledSignals):
         self._u: FloatArray = resting_input(loop)
         self._resting = True
         self._info: Mapping[str, float] = NO_INFO
-        if loop.continues_recording and loop.recording is not None:
-            newest = loop.recording.pieces[-1]
-            self._observer.follow(newest.u, newest.y)
-            self._u, self._resting = newest.u[-1], False
+        self._disturbed = bool(loop.disturbances)
+        if past := running_past(loop):
+            self._observer.follow(past)
+            self._u, self._resting = past.u[-1], False
+            self._take_over(past)
+            self._observer.predict(self._u, past.d[-1])
+
+    def _take_over(self, past: Recording) -> None:
+        """Go on from the last sample of a running plant, to which the estimate belongs."""
 
     def _step(self, sample: Sample) -> Action:
         """Correct the estimate, decide on the inputs, and predict what they do."""
         missing = "" if np.isfinite(sample.y).all() else PREDICTED
+        d = sample.disturbance if self._disturbed else NO_DISTURBANCE
         if self._resting:
             if missing:
                 return Action(self._u.copy(), missing)
-            self._observer.rest(self._u, sample.y)
+            self._observer.rest(self._u, sample.y, d)
             self._resting = False
-        self._observer.correct(sample.y)
+        self._observer.correct(sample.y, d)
         u, fallback = self._decide(sample)
-        self._observer.predict(u)
+        self._observer.predict(u, d)
         self._u = u.copy()
         return action(u, fallback or missing, self._info)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the filter and what decides to the code."""
         state = self._observer.state
-        observer, rest = self._observer.constant(code), self._observer.resting_law(self._u)
+        observer, rest = self._observer.constant(code), self._observer.resting_law(self._u, NO_DISTURBANCE)
         scratch = np.zeros(len(state) + len(loop.outputs))
         return code.step(
             f"{code.held('ObserverMemory', [self._resting], self._u, state, rest, scratch)}"

@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from ddpc_cosim import LinearModel  # which comes with all that runs FMUs
 
 Matrix = Sequence[Sequence[float]]
+_NO_DISTURBANCES: FloatArray = np.empty((1, 0))
 
 
 @dataclass(frozen=True, slots=True)
 class SampledModel:
-    """A linear model at the loop's sampling time: ``x+ = A x + B (u - u_0)``, ``y = C x + y_0``.
+    """A linear model at the loop's sampling time.
+
+    ``x+ = A x + B (u - u_0) + E (d - d_0)``, ``y = C x + F (d - d_0) + y_0``, with d the known disturbances.
 
     Parameters
     ----------
@@ -39,6 +42,8 @@ class SampledModel:
         Quality of its identification, by name.
     warnings : tuple of str
         What speaks against it.
+    e, f, d_0 : array, shapes (n, n_d), (p, n_d), (n_d,), optional
+        How known disturbances act, and what they are at the operating point; default: there are none.
     """
 
     a: FloatArray
@@ -49,6 +54,14 @@ class SampledModel:
     samples: int = 1000
     fit: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    e: FloatArray = field(default_factory=lambda: _NO_DISTURBANCES)
+    f: FloatArray = field(default_factory=lambda: _NO_DISTURBANCES)
+    d_0: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name, rows in (("e", len(self.a)), ("f", len(self.c))):
+            if getattr(self, name) is _NO_DISTURBANCES:
+                object.__setattr__(self, name, np.zeros((rows, len(self.d_0))))
 
 
 @runtime_checkable
@@ -82,13 +95,14 @@ class StateSpace(ModelSource):
     """A linear model in numbers, continuous or sampled.
 
     A sampled output is measured before the input of its sample is applied, so a direct feedthrough D shows
-    the input of the sample before.
+    the input of the sample before. Known disturbances of the loop are further inputs, after the m: where B
+    has no columns for them, it is not known what they do.
     """
 
     a: Matrix = setting(doc="A, n rows of n numbers")
-    b: Matrix = setting(doc="B, n rows of m numbers")
+    b: Matrix = setting(doc="B, n rows of m numbers, and those of known disturbances after them")
     c: Matrix = setting(doc="C, p rows of n numbers")
-    d: Matrix = setting((), doc="D, p rows of m numbers; empty: zero")
+    d: Matrix = setting((), doc="D, p rows of as many numbers as those of B; empty: zero")
     sampling_time: float = setting(
         0.0, low=0.0, unit="s", doc="sampling time of the matrices; 0: they are continuous"
     )
@@ -148,9 +162,12 @@ class StateSpace(ModelSource):
         """Return the model at the loop's sampling time; see :class:`ModelSource`."""
         a, b, c, d = self._matrices()
         wanted = len(loop.outputs), len(loop.inputs)
-        if d.shape != wanted:
+        m, known = len(loop.inputs), [variable.name for variable in loop.disturbances]
+        with_known = wanted[0], m + len(known)
+        if d.shape not in (wanted, with_known):
+            beside = f", or {with_known} with its known disturbances" if known else ""
             raise ConfigError(
-                f"StateSpace: the model has (outputs, inputs) = {d.shape}, the loop has {wanted}"
+                f"StateSpace: the model has (outputs, inputs) = {d.shape}, the loop has {wanted}{beside}"
             )
         if self.sampling_time == 0.0:
             a, b = discretise(a, b, loop.sampling_time)
@@ -161,7 +178,12 @@ class StateSpace(ModelSource):
             )
         if d.any():
             a, b, c = _with_last_input(a, b, c, d)
-        return SampledModel(a, b, c, _vector(self.u_0, wanted[1]), _vector(self.y_0, wanted[0]))
+        u_0, y_0 = _vector(self.u_0, b.shape[1]), _vector(self.y_0, wanted[0])
+        if b.shape[1] == m:
+            unknown = (f"the model does not say what {', '.join(known)} does to the plant",) if known else ()
+            nothing = np.zeros(len(known))
+            return SampledModel(a, b, c, u_0, y_0, warnings=unknown, d_0=nothing)
+        return SampledModel(a, b[:, :m], c, u_0[:m], y_0, e=b[:, m:], d_0=u_0[m:])
 
     def _matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         a, b, c = (_matrix(name, getattr(self, name)) for name in "abc")

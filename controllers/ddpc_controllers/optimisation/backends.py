@@ -212,6 +212,8 @@ class SparseQP:
     ----------
     linear, right : dict of str to array
         Blocks of c and b, zero at first: views, to be changed in place.
+    lower, upper : dict of str to array
+        Blocks of the limits: views, to be changed in place where there are limits at all.
     """
 
     def __init__(
@@ -243,7 +245,9 @@ class SparseQP:
         self._b, self.right = _vector(heights)
         self._x, self._parts = _vector(sizes)
         free = {name: (np.full(size, -np.inf), np.full(size, np.inf)) for name, size in sizes.items()}
-        lower, upper = map(np.concatenate, zip(*({**free, **limits}[name] for name in sizes), strict=True))
+        (self._low, self.lower), (self._high, self.upper) = _vector(sizes), _vector(sizes)
+        for name, (lower, upper) in {**free, **limits}.items():
+            self.lower[name][:], self.upper[name][:] = lower, upper
         self._tolerance, self._relaxed = tolerance, relaxed
         self._solver = piqp.SparseSolver()
         # Rows of size 1 need no other scaling, and shorter steps get through degenerate problems.
@@ -255,7 +259,12 @@ class SparseQP:
         self._row_sizes = np.sqrt(np.asarray(equations.power(2).sum(axis=1)).ravel())
         self._row_sizes[self._row_sizes == 0.0] = 1.0
         equations = sp.csc_matrix(sp.diags_array(1.0 / self._row_sizes) @ equations)
-        self._solver.setup(2.0 * self._cost * quadratic, self._c, equations, self._b, x_l=lower, x_u=upper)
+        sides = {"x_l": self._low, "x_u": self._high}
+        self._solver.setup(2.0 * self._cost * quadratic, self._c, equations, self._b, **sides)
+
+    def move_limits(self) -> None:
+        """Have the next solutions meet the limits as they are now."""
+        self._solver.update(x_l=self._low, x_u=self._high)
 
     def solve(self) -> tuple[dict[str, FloatArray], str]:
         """Return the variables by name, and the solver's word for why they are not optimal, if so."""

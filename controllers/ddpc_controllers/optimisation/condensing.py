@@ -13,7 +13,16 @@ from the unconstrained optimum in units of the cost, and so
 
     minimise |t|^2   subject to   e_0(p) + L t <= 0
 
-is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range.
+is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range. Limits that
+move with time are parameters: they change ``e_0(p)`` alone.
+
+Prices q, parameters too, of amounts ``a = A z`` add ``q' a`` to the cost. With ``t_0 = R w + P p`` the
+distance without them, R triangular, it is completed to a square,
+
+    |t_0|^2 + q' A N w = |t_0 + h|^2 - ...,   h = R^-T (A N)' q / 2,
+
+and so prices move the unconstrained optimum, which stays affine in p, and nothing else. They have no
+curvature: R, of the squares alone, must be regular.
 
 The factor is block lower triangular where g costs differently block by block: each block of v belongs to a
 block of rows, what of them the rows above do not determine.
@@ -27,7 +36,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
-from ddpc_controllers.optimisation.problem import Problem
+from ddpc_controllers.optimisation.problem import Limits, Problem
 from ddpc_cosim import ConfigError, FloatArray
 
 _EQUALITY_TOLERANCE = 1e-10
@@ -125,7 +134,9 @@ class CondensedProblem:
     labels : tuple of str
         What each bound is called; empty where no message needs it.
     cost_law : array, shape (r, parameters), or None
-        The cost of the problem as printed is ``|cost_law @ p|^2 + |t|^2``.
+        The cost of the problem as printed is ``|cost_law @ p|^2 + |t|^2``, and what is paid.
+    paid : (array, array), shapes (c, parameters)
+        Prices and the amounts of them at the unconstrained optimum: their products are paid.
     """
 
     excess_law: FloatArray
@@ -135,6 +146,7 @@ class CondensedProblem:
     conflict_law: FloatArray
     labels: tuple[str, ...] = ()
     cost_law: FloatArray | None = None
+    paid: tuple[FloatArray, FloatArray] | None = None
 
 
 class Coordinates(NamedTuple):
@@ -171,6 +183,12 @@ class ReducedProblem:
         The inputs to apply now.
     conflict_law, labels
         See :class:`CondensedProblem`.
+    prices : array, shape (c, parameters)
+        Which parameters are prices.
+    amount_gain, amount_law : arrays, shapes (c, k) and (c, parameters)
+        What is paid for at each of them.
+    advice : str
+        What keeps the optimum determined, where that is not plain.
     """
 
     residual: FloatArray
@@ -182,6 +200,15 @@ class ReducedProblem:
     move_law: FloatArray
     conflict_law: FloatArray
     labels: tuple[str, ...]
+    prices: FloatArray
+    amount_gain: FloatArray
+    amount_law: FloatArray
+    advice: str
+
+    @property
+    def slope(self) -> FloatArray:
+        """Half of the slope of what is paid over w, shape (k, parameters)."""
+        return np.asarray(self.amount_gain.T @ self.prices / 2.0)
 
     def optimise(self) -> CondensedProblem:
         """Eliminate the unconstrained optimum.
@@ -200,6 +227,7 @@ class ReducedProblem:
             self.conflict_law,
             self.labels,
             cost_law,
+            (self.prices, self.amount_law + self.amount_gain @ law) if len(self.prices) else None,
         )
 
     def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -226,9 +254,13 @@ class ReducedProblem:
                 f"the weights leave the optimum undetermined ({size} directions, the weakest with "
                 f"{ratio:.1e} of the strongest's root of a curvature): make them positive and alike in "
                 "size, or do without the artificial setpoint where several leave the outputs the same"
+                + self.advice
             )
         # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
         gain = scipy.linalg.blas.dtrsm(1.0, triangular, np.eye(size), side=1)
+        if len(self.prices):
+            drawn = gain.T @ self.slope
+            projected, left = projected + drawn, np.vstack([left, drawn])
         return -gain @ projected, gain, left
 
 
@@ -259,9 +291,10 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         return np.hstack([matrix[:, :rows] @ basis, matrix[:, rows:]])
 
     (residual, target), (equality, equality_target) = problem.cost, problem.equality
-    quantities, lower, upper = problem.bounded
+    limits, prices = problem.bounded, np.flatnonzero(problem.paid.any(axis=1))
     particular, null_space, conflict = _eliminate(in_z(equality), equality_target)
-    residual, bounded, move = in_z(residual), in_z(quantities), in_z(problem.wanted)
+    residual, bounded, move = in_z(residual), in_z(limits.rows), in_z(problem.wanted)
+    amounts = in_z(problem.paid[prices])
     rank = basis.shape[1]
     g_costs = [Coordinates(null_space[:rank], particular[:rank], factor.weights)]
     of_x, of_p = problem.origin
@@ -273,7 +306,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
             Coordinates(g_costs[0].gain - gain, g_costs[0].law - drawn, factor.weights),
             Coordinates(gain, drawn, np.array(problem.origin_weights)[factor.blocks]),
         ]
-    law, gain = _excess(bounded @ particular, bounded @ null_space, lower, upper)
+    law, gain = _excess(bounded @ particular, bounded @ null_space, limits)
     kept, labels = _tightest(law, gain), problem.labels
     return ReducedProblem(
         residual=residual @ null_space,
@@ -285,18 +318,20 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         move_gain=move @ null_space,
         conflict_law=conflict,
         labels=tuple(labels[i] for i in kept.tolist()),
+        prices=np.eye(particular.shape[1])[prices],
+        amount_gain=amounts @ null_space,
+        amount_law=amounts @ particular,
+        advice=problem.advice,
     )
 
 
-def _excess(
-    law: FloatArray, gain: FloatArray, lower: FloatArray, upper: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Turn ``lower <= law p + gain w <= upper`` into normalised rows that must not be positive."""
-    above, below, span = np.isfinite(upper), np.isfinite(lower), upper - lower
+def _excess(law: FloatArray, gain: FloatArray, limits: Limits) -> tuple[FloatArray, FloatArray]:
+    """Turn ``lower p <= law p + gain w <= upper p`` into normalised rows that must not be positive."""
+    _, lower, upper, span = limits
+    above, below = np.isfinite(upper[:, -1]), np.isfinite(lower[:, -1])  # the last parameter is 1
     size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
     scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
-    law = np.vstack([law[above], -law[below]])
-    law[:, -1] -= np.concatenate([upper[above], -lower[below]])  # the last parameter is 1
+    law = np.vstack([law[above] - upper[above], lower[below] - law[below]])
     return law / scale, np.vstack([gain[above], -gain[below]]) / scale
 
 

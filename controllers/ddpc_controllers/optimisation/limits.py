@@ -82,14 +82,20 @@ class InputLimits:
     def __init__(
         self, u_min: FloatArray, u_max: FloatArray, rates: FloatArray | None = None, steps: int = 1
     ) -> None:
-        self._bounds, self._inputs = (u_min, u_max), steps * len(u_min)
+        self._steps, self._inputs = steps, steps * len(u_min)
         self._rates = np.full(len(u_min), np.inf) if rates is None else rates
         self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
         span = np.zeros(len(u_min))
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
-        self._low, self._high = u_min.tolist() * steps, u_max.tolist() * steps
-        self._near_low = (u_min + _AT_LIMIT * span).tolist() * steps
-        self._near_high = (u_max - _AT_LIMIT * span).tolist() * steps
+        self._near = _AT_LIMIT * span
+        self.move(np.tile(np.stack([u_min, u_max], axis=1), (steps, 1, 1)))
+
+    def move(self, limits: FloatArray) -> None:
+        """Take new limits, shape (steps, m, 2) or more of them, from this sample on."""
+        low, high = self._bounds = limits[: self._steps, :, 0], limits[: self._steps, :, 1]
+        self._low, self._high = low.ravel().tolist(), high.ravel().tolist()
+        self._near_low = (low + self._near).ravel().tolist()
+        self._near_high = (high - self._near).ravel().tolist()
 
     def reach(self, u: FloatArray) -> None:
         """Put inputs that are at a limit but for rounding exactly there, in place."""
@@ -118,9 +124,9 @@ class InputLimits:
 
     def hold_changes(self, plan: FloatArray, last: FloatArray) -> None:
         """Keep inputs, shape (samples, m), and their changes from ``last`` on within limits, in place."""
-        for u in plan:
+        for u, low, high in zip(plan, *self._bounds, strict=False):
             np.clip(u, last - self._rates, last + self._rates, out=u)
-            np.clip(u, *self._bounds, out=u)
+            np.clip(u, low, high, out=u)
             last = u
 
 

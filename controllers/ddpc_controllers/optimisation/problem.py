@@ -19,13 +19,30 @@ class _Equality(NamedTuple):
     relaxed: float
 
 
-class _Bound(NamedTuple):
-    """What a limited quantity is called, its rows over x, its limits, and the weight of an excess."""
+class Limits(NamedTuple):
+    """Rows over x, the limits of each of them over p, and how far these are apart.
 
-    name: str
+    Parameters
+    ----------
+    rows : array, shape (b, variables)
+        What is limited.
+    lower, upper : arrays, shape (b, parameters)
+        Its limits as functions of p. Where there is none the last entry, that of the 1, is infinite.
+    span : array, shape (b,)
+        Upper less lower limit, of those that move the outermost; infinite where there is none.
+    """
+
     rows: FloatArray
     lower: FloatArray
     upper: FloatArray
+    span: FloatArray
+
+
+class _Bound(NamedTuple):
+    """What a limited quantity is called, its rows and limits, and the weight of an excess."""
+
+    name: str
+    limits: Limits
     relaxed: float
 
 
@@ -51,10 +68,14 @@ class Problem:
         where ``|g|`` itself is weighed.
     origin_weights : tuple of float
         What that smallest combination costs itself, block by block as in ``weights``.
+    paid : array, shape (parameters, variables)
+        K of what the cost has beside squares, ``p' K x``: see :meth:`charge`.
     labels : tuple of str
         What the finite limits are called: the upper ones, and then the lower ones.
     given_up : tuple of str
         What :meth:`relaxed` has made of a problem that cannot be solved as it was written down.
+    advice : str
+        What keeps the optimum determined, for the error where it is not.
     """
 
     def __init__(
@@ -67,7 +88,9 @@ class Problem:
         self._costs: list[tuple[FloatArray, FloatArray]] = []
         self._equalities: list[_Equality] = []
         self._bounds: list[_Bound] = []
+        self.paid = np.zeros((self._columns, self._width))
         self.given_up: tuple[str, ...] = ()
+        self.advice = ""
         self._wanted: list[FloatArray] = []
         self.weights: tuple[tuple[int, float], ...] = ((self.row_count, 0.0),)
         self.origin = np.zeros((self.row_count, self._width)), np.zeros((self.row_count, self._columns))
@@ -88,8 +111,8 @@ class Problem:
     def regularise_about(self, rows: Mapping[str, Blocks], weight: float, about: Mapping[str, float]) -> None:
         """Add ``weight |g - g_s|^2`` to the cost, g_s being the smallest combination with given data rows.
 
-        ``rows`` has coefficients of variables or parameters for each block of data rows; ``own`` has weights
-        of what the last blocks of rows add to g_s.
+        ``rows`` has coefficients of parameters or, where there is none of a name, variables for each block of
+        data rows; ``about`` has weights of what the last blocks of rows add to g_s.
         """
         above = self.row_count - sum(self.rows[name] for name in about)
         self.weights = ((above, weight), *((self.rows[name], weight) for name in about))
@@ -97,7 +120,9 @@ class Problem:
         of_x, of_p = self.origin
         for row, blocks in rows.items():
             for name, block in blocks.items():
-                part, place = (of_x, self._variables) if name in self._variables else (of_p, self._parameters)
+                part, place = (
+                    (of_p, self._parameters) if name in self._parameters else (of_x, self._variables)
+                )
                 part[self._variables[row], place[name]] = block
 
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
@@ -105,6 +130,13 @@ class Problem:
         left, right = self._assembled(variables, target)
         root = np.kron(np.eye(len(left) // len(weight)), _square_root(weight))
         self._costs.append((root @ left, root @ right))
+
+    def charge(self, prices: str, variable: str, amounts: FloatArray) -> None:
+        """Add ``prices' amounts variable`` to the cost: parameters that are prices of amounts.
+
+        It has no curvature: the squares of the cost have to keep it bounded.
+        """
+        self.paid[self._parameters[prices], self._variables[variable]] += amounts
 
     def equate(self, variables: Blocks, target: Blocks, relaxed: float = 0.0) -> None:
         """Require ``sum variables = sum target``; ``relaxed`` weighs misses where that gives way."""
@@ -118,19 +150,31 @@ class Problem:
         less: Blocks | None = None,
         name: str = "",
         relaxed: float = 0.0,
+        moving: tuple[Blocks, Blocks] | None = None,
+        rows: FloatArray | None = None,
     ) -> None:
         """Keep every sample of a variable within limits; infinite where there is none.
 
         With ``less`` it is the variable minus these others; ``name`` is what messages call it; ``relaxed`` is
-        the weight of an excess where the limits give way.
+        the weight of an excess where the limits give way. With ``moving`` the limits, lower and upper, are
+        these combinations of parameters; ``lower`` and ``upper`` are the outermost then, and infinite where
+        there is none. ``rows`` are what of the variable is limited; default: all of it.
         """
-        blocks = {variable: np.eye({**self.rows, **self.free}[variable])}
+        blocks = {variable: np.eye({**self.rows, **self.free}[variable]) if rows is None else rows}
         for other, block in (less or {}).items():
             blocks[other] = blocks.get(other, 0.0) - block
         bounded, _ = self._assembled(blocks, {})
         samples = len(bounded) // len(lower)
-        limits = np.tile(lower, samples), np.tile(upper, samples)
-        self._bounds.append(_Bound(name or variable, bounded, *limits, relaxed))
+        outermost = np.tile(lower, samples), np.tile(upper, samples)
+        sides = list[FloatArray]()
+        for limit, blocks_of_p in zip(outermost, moving or ({}, {}), strict=True):
+            _, side = self._assembled({variable: blocks[variable]}, blocks_of_p)
+            if moving is None:
+                side[:, -1] = limit
+            side[~np.isfinite(limit), -1] = limit[~np.isfinite(limit)]
+            sides.append(side)
+        limits = Limits(bounded, sides[0], sides[1], outermost[1] - outermost[0])
+        self._bounds.append(_Bound(name or variable, limits, relaxed))
 
     def relaxed(self) -> "Problem | None":
         """Return the next easier problem, None if there is none.
@@ -142,7 +186,7 @@ class Problem:
         bounds = [] if equalities else [bound for bound in self._bounds if bound.relaxed]
         if not equalities and not bounds:
             return None
-        excess = {f"excess of {bound.name}": len(bound.rows) for bound in bounds}
+        excess = {f"excess of {bound.name}": len(bound.limits.rows) for bound in bounds}
         easier = Problem(self.rows, {**self.free, **excess}, self._sizes)
 
         def wider(rows: FloatArray) -> FloatArray:
@@ -152,19 +196,21 @@ class Problem:
         easier.origin = wider(self.origin[0]), self.origin[1]
         easier._costs = [(wider(left), right) for left, right in self._costs]
         easier._wanted = [wider(rows) for rows in self._wanted]
+        easier.paid, easier.advice = wider(self.paid), self.advice
         for left, right, weight in self._equalities:
             if weight:
                 easier._costs.append((weight**0.5 * wider(left), weight**0.5 * right))
             else:
                 easier._equalities.append(_Equality(wider(left), right, 0.0))
         for bound in self._bounds:
-            rows = wider(bound.rows)
+            rows = wider(bound.limits.rows)
             if bounds and bound.relaxed:
                 name = f"excess of {bound.name}"
                 identity = np.eye(len(rows))
                 rows[:, easier._variables[name]] = -identity
                 easier.penalise(bound.relaxed * np.eye(1), {name: identity}, {})
-            easier._bounds.append(bound._replace(rows=rows, relaxed=0.0 if bounds else bound.relaxed))
+            limits = bound.limits._replace(rows=rows)
+            easier._bounds.append(_Bound(bound.name, limits, 0.0 if bounds else bound.relaxed))
         what = "output bounds softened" if bounds else "terminal condition relaxed"
         easier.given_up = (*self.given_up, what)
         return easier
@@ -186,10 +232,10 @@ class Problem:
         return _stacked([(left, right) for left, right, _ in self._equalities])
 
     @property
-    def bounded(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """C and the limits of C x, shapes (b, variables), (b,) and (b,); infinite where there is none."""
-        _, rows, lower, upper, _ = zip(*self._bounds, strict=True)
-        return np.vstack(rows), np.concatenate(lower), np.concatenate(upper)
+    def bounded(self) -> Limits:
+        """C and the limits of C x."""
+        rows, lower, upper, span = zip(*(bound.limits for bound in self._bounds), strict=True)
+        return Limits(np.vstack(rows), np.vstack(lower), np.vstack(upper), np.concatenate(span))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -212,9 +258,14 @@ class Problem:
         return left, right
 
     def _labels(self, side: str) -> Iterator[str]:
-        for name, _, lower, upper, _ in self._bounds:
-            count = np.isfinite(upper if side == "upper" else lower).sum()
+        for name, limits, _ in self._bounds:
+            count = np.isfinite((limits.upper if side == "upper" else limits.lower)[:, -1]).sum()
             yield from [f"{name} at its {side} bound"] * int(count)
+
+
+def sample_by_sample(samples: FloatArray, block: FloatArray) -> FloatArray:
+    """Return the Kronecker product: a block for one sample, at samples of the horizon, the rows of I_N."""
+    return np.asarray(np.kron(samples, block), dtype=np.float64)
 
 
 class ParameterVector:

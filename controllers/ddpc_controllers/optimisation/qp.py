@@ -12,9 +12,10 @@ before it meets the Gram matrix K of the data does not change with it: in the
 coordinates of :class:`~ddpc_controllers.data.online.OnlineData`, with ``K = L L'``, the cost of the free
 variables w at the parameters p is
 
-    |residual w + offset p|^2 + |L^-1 (gain w + law p)|_weights^2.
+    |residual w + offset p|^2 + |L^-1 (gain w + law p)|_weights^2,
 
-One triangular solution, one product and one factorisation give its optimum.
+and what is paid, ``prices' amounts``, is linear in w. One triangular solution, one product and one
+factorisation give its optimum.
 """
 
 import math
@@ -89,7 +90,8 @@ class Solution(NamedTuple):
     ----------
     answer : array
         Excess over the bounds at the unconstrained optimum, what was asked for, and, r being the rest of it,
-        ``|r|^2``, the cost there.
+        ``|r|^2``, the cost there; at its end prices and as many amounts, whose products are part of the
+        cost too.
     active : tuple of int
         Numbers of the active bounds.
     t : array or None
@@ -100,13 +102,23 @@ class Solution(NamedTuple):
     active: ActiveSet
     t: FloatArray | None
 
-    def info(self, rest: int, gain: FloatArray) -> dict[str, float]:
-        """Return cost and number of active bounds; where r begins, and how t changes the excess."""
-        root, t = self.answer[rest:], self.t
+    def info(self, rest: int, paid: int, gain: FloatArray) -> dict[str, float]:
+        """Return cost and number of active bounds.
+
+        Parameters
+        ----------
+        rest, paid : int
+            Where r begins, and how many prices there are.
+        gain : array
+            How t changes the excess.
+        """
+        end = len(self.answer) - 2 * paid
+        root, t = self.answer[rest:end], self.t
+        prices, amounts = self.answer[end : end + paid], self.answer[end + paid :]
         if t is None and self.active:
             rows, excess = gain[list(self.active)], self.answer[list(self.active)]
             t = rows.T @ np.linalg.solve(rows @ rows.T, excess)
-        cost = float(root @ root) + (0.0 if t is None else float(t @ t))
+        cost = float(root @ root) + (0.0 if t is None else float(t @ t)) + float(prices @ amounts)
         return {COST: cost, ACTIVE_BOUNDS: float(len(self.active))}
 
 
@@ -158,8 +170,10 @@ def ends_info(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> d
     return dict(zip(ends, (predicted[-len(ends) :] * unit).tolist(), strict=True))
 
 
-def _solution_info(solution: Solution, rest: int, gain: FloatArray, *ends: Any) -> dict[str, float]:
-    return solution.info(rest, gain) | ends_info(*ends)
+def _solution_info(
+    solution: Solution, rest: int, paid: int, gain: FloatArray, *ends: Any
+) -> dict[str, float]:
+    return solution.info(rest, paid, gain) | ends_info(*ends)
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
@@ -220,13 +234,14 @@ class _BoundedLaw(ABC):
         self.limits, self._backend, self._relaxation = limits, backend, relaxation
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
-        self._rest, self._gain = 0, np.empty((0, 0))
+        self._rest, self._paid, self._gain = 0, 0, np.empty((0, 0))
         self._solution: Solution | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
         """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_info`."""
         if self._solution:
-            return StepInfo(_solution_info, (self._solution, self._rest, self._gain, ends, predicted, unit))
+            given = (self._solution, self._rest, self._paid, self._gain, ends, predicted, unit)
+            return StepInfo(_solution_info, given)
         if self._easier is None:
             return StepInfo(ends_info, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
@@ -329,8 +344,10 @@ class ParametricQP(_BoundedLaw):
         self._easier, self.problem = None, problem
         self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
-        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
-        self._rest = len(self._law) - len(cost_law)
+        paid = problem.paid or ()
+        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law, *paid])
+        self._rest = len(problem.excess_law) + len(problem.move_law)
+        self._paid = len(paid[0]) if paid else 0
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
@@ -482,6 +499,8 @@ class AdaptiveQP(_BoundedLaw):
         triangular, w, cost = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
         answer = affine[self._split :] + np.dot(self._gains, w)
         answer[self._rest] = math.sqrt(max(cost, 0.0))
+        if self._paid:  # what is paid can make it negative
+            answer[self._rest + 1 :] = min(cost, 0.0), 1.0
         return self._move(answer, parameters, partial(self._respect_bounds, triangular))
 
     def _gram_factor(self) -> FloatArray:
@@ -505,12 +524,16 @@ class AdaptiveQP(_BoundedLaw):
         self._take(reduced)
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
+        self._paid = int(len(reduced.prices) > 0)
+        if self._paid:
+            linear = linear + reduced.slope
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
         g_laws = [cost.law for cost in reduced.g_costs]
-        no_law, no_gain = (np.zeros((1, width)) for width in (linear.shape[1], size))
+        cost_rows = 1 + 2 * self._paid
+        no_law, no_gain = (np.zeros((cost_rows, width)) for width in (linear.shape[1], size))
         self._laws = np.vstack([linear, *g_laws, reduced.excess_law, reduced.move_law, no_law])
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain, no_gain])
-        self._rest = len(self._gains) - 1
+        self._rest = len(self._gains) - cost_rows
         self._curvature = reduced.residual.T @ reduced.residual
         # The costs of g, side by side: one triangular solution serves them all.
         self._roots = np.sqrt(
@@ -539,7 +562,8 @@ class AdaptiveQP(_BoundedLaw):
         slope = affine[:size] + products[:size, size]
         w = -scipy.linalg.lapack.dpotrs(triangular, slope)[0]
         offset = np.dot(self._offset, parameters)
-        return triangular, w, float(offset @ offset + products[size, size] + slope @ w)
+        cost = float(offset @ offset + products[size, size] + slope @ w)
+        return triangular, w, cost + self._paid_at_no_w(parameters)
 
     def _places_of_costs(self) -> list[slice]:
         """Return where each part of what g costs stands, its gain and its value."""
@@ -555,8 +579,20 @@ class AdaptiveQP(_BoundedLaw):
         stacked = np.vstack([np.hstack([self._reduced.residual, offset]), deviation])
         factor = np.asarray(np.linalg.qr(stacked, mode="r"))
         triangular = np.asfortranarray(factor[:size, :size])
-        left = factor[size:, size]
-        return triangular, -scipy.linalg.lapack.dtrtrs(triangular, factor[:size, size])[0], float(left @ left)
+        root, left = factor[:size, size], factor[size:, size]
+        cost = float(left @ left)
+        if self._paid:  # the square is completed
+            drawn = scipy.linalg.lapack.dtrtrs(triangular, self._reduced.slope @ parameters, trans=1)[0]
+            cost += self._paid_at_no_w(parameters) - float(drawn @ (drawn + 2.0 * root))
+            root = root + drawn
+        return triangular, -scipy.linalg.lapack.dtrtrs(triangular, root)[0], cost
+
+    def _paid_at_no_w(self, parameters: FloatArray) -> float:
+        """Return what is paid besides for w."""
+        reduced = self._reduced
+        if not self._paid:
+            return 0.0
+        return float((reduced.prices @ parameters) @ (reduced.amount_law @ parameters))
 
     def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> Correction | None:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName
-from ddpc_controllers.optimisation.problem import Problem
+from ddpc_controllers.optimisation.outlook import BAND, PRICE, Foresight, Outlook
+from ddpc_controllers.optimisation.problem import Blocks, Problem, sample_by_sample
 from ddpc_cosim import (
     Bounds,
     Factor,
@@ -22,12 +24,17 @@ Setpoint = Literal["input", "input-output", "none"]
 SETPOINTS = ("input", "input-output", "none")
 
 _PREFERENCE = 1e-6
+_ADVICE = (
+    "; outputs within a band and what is paid have no curvature: make input_weight positive, or "
+    "change_weight where there is one"
+)
+_BESIDE = ("y_above", "y_below")
 _TERMINAL, _OUTPUTS = 1e2, 1e4
 """Weights of what gives way where nothing else helps, in parts of the largest weight."""
 
 
 @dataclass(kw_only=True)
-class TrackingSettings:
+class TrackingSettings(Foresight):
     """What a predictive controller minimises, in the terms of (8) and (11)."""
 
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(3, 20))
@@ -78,11 +85,27 @@ def tracking_problem(
     known: Mapping[str, str],
     prefer_rest: bool = False,
     future_slack: float = 0.0,
+    outlook: Outlook | None = None,
 ) -> Problem:
     """Write down cost, terminal condition and bounds.
 
     With u_s and y_s the cost is that of (8), with u_s that of (11), with none that of the regulation form
     [8], the inputs weighed from rest.
+
+    An output b in a band [l, h] is not drawn to a reference, nor to y_s, but costs what it is outside:
+
+        sum_k q_b (max(0, y_b,k - h_k)^2 + max(0, l_k - y_b,k)^2),
+
+    q_b being its element of Q's diagonal; where the band is a line that is q_b (y_b,k - r_k)^2. Its y_s is
+    where it is at the end of the horizon, so that a terminal condition lets the plant rest anywhere in the
+    band. What is paid adds
+
+        price_weight sum_k sum_i price_i,k rate_i signal_i,k sampling_time.
+
+    Neither has curvature within the band. The squares |u - u_s|_R^2 or |u - u_rest|_R^2, the changes of the
+    inputs, the outputs that follow a reference and a regulariser of g keep the optimum determined. With
+    artificial setpoints, where fewer outputs follow a reference than there are inputs, 1e-6
+    |u_s - u_rest|_R^2 is added for it.
 
     Parameters
     ----------
@@ -104,6 +127,9 @@ def tracking_problem(
         Where inputs outnumber outputs, choose among setpoints u_s alike in cost the one nearest to rest.
     future_slack : float
         Weight of ``|sigma|^2``, by which predicted outputs may miss those of the data rows; 0: they may not.
+    outlook : Outlook, optional
+        Bands, moving limits and prices, whose windows are among the parameters. Disturbances are rows of
+        ``past`` and equal a parameter, which ``known`` says. Default: there are none.
 
     Raises
     ------
@@ -111,16 +137,20 @@ def tracking_problem(
         Every weight that does not fit the number of signals.
     """
     m, p, n = len(bounds.u_min), len(bounds.y_min), settings.horizon
+    followed = outlook.followed if outlook else np.arange(p)
+    weighed = outlook.controlled if outlook else p
     q, r, s, change = weight_matrices(
-        output_weight=(settings.output_weight, p),
+        output_weight=(settings.output_weight, weighed),
         input_weight=(settings.input_weight, m),
-        setpoint_weight=(settings.setpoint_weight, p),
+        setpoint_weight=(settings.setpoint_weight, weighed),
         change_weight=(settings.change_weight, m),
     )
+    of_followed, in_bands = np.ix_(followed, followed), _in_bands(outlook, q)
     names = {"none": (), "input": ("u_s",), "input-output": ("u_s", "y_s")}[settings.setpoint]
     free = {name: {"u_s": m, "y_s": p}[name] for name in names}
     if settings.soft_output_bounds > 0.0:
         free |= {"y_excess": n * p} | ({"y_s_excess": p} if "y_s" in free else {})
+    free |= dict.fromkeys(_BESIDE if in_bands.size else (), n * in_bands.size)
     future_y = "y_slackened" if future_slack else "y"
     if future_slack:
         free[future_y] = n * p
@@ -132,14 +162,22 @@ def tracking_problem(
     held_u, held_y = np.tile(np.eye(m), (n, 1)), np.tile(np.eye(p), (n, 1))
     if future_slack:
         problem.penalise(future_slack * np.eye(p), {"y": every_y, future_y: -every_y}, {})
-    if "y_s" in free:
-        problem.penalise(q, {future_y: every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
-        problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
-    else:
-        problem.penalise(q, {future_y: every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
+    if len(followed):
+        following = sample_by_sample(np.eye(n), np.eye(p)[followed])
+        if "y_s" in free:
+            at_y_s = following @ held_y
+            problem.penalise(q[of_followed], {future_y: following, "y_s": -at_y_s}, {})  # |y_k - y_s|_Q^2
+            problem.penalise(s[of_followed], {"y_s": at_y_s}, {"r": following})  # |r_t+k - y_s|_S^2
+        else:
+            problem.penalise(q[of_followed], {future_y: following}, {"r": following})  # |y_k - r_t+k|_Q^2
+    if "y_s" in free and len(followed) < p:
+        others = np.delete(np.eye(p), followed, axis=0)
+        problem.equate(
+            {"y_s": others, future_y: -sample_by_sample(np.eye(n)[-1:], others)}, {}
+        )  # y_s = y_N-1
     if "u_s" in free:
         problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
-        if prefer_rest and m > p:
+        if m > len(followed) and (prefer_rest or len(followed) < p):
             problem.penalise(_PREFERENCE * r, {"u_s": np.eye(m)}, {"one": rest[:, np.newaxis]})
     else:
         problem.penalise(r, {"u": every_u}, {"one": held_u @ rest[:, np.newaxis]})  # |u_k|_R^2, off rest
@@ -152,14 +190,24 @@ def tracking_problem(
         if settings.terminal_length and setpoint in free:  # the horizon's end is at the setpoints
             last = slice(-settings.terminal_length * held.shape[1], None)
             problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {}, _TERMINAL * largest)
-    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest)
+    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest, outlook)
+    if outlook:
+        _hold_in_bands(problem, outlook, in_bands, np.diag(q), future_y)
+        _pay(problem, outlook, {"u": m, "y": p}, future_y)
+        if in_bands.size or outlook.paid:
+            problem.advice = _ADVICE
     if np.isfinite(rates).any():
         problem.bound("u", -rates, rates, _inputs_before(problem, m), name="change of u")
     return problem
 
 
 def _bound_signals(
-    problem: Problem, settings: TrackingSettings, bounds: Bounds, future_y: str, relaxed: float
+    problem: Problem,
+    settings: TrackingSettings,
+    bounds: Bounds,
+    future_y: str,
+    relaxed: float,
+    outlook: Outlook | None,
 ) -> None:
     """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
@@ -179,7 +227,56 @@ def _bound_signals(
             problem.penalise(settings.soft_output_bounds * np.eye(len(lower)), excess, {})
         if name in problem.rows or name in problem.free:
             gives_way = relaxed if name in ("y", "y_s") and not excess else 0.0
-            problem.bound(future_y if name == "y" else name, lower, upper, excess, name, gives_way)
+            variable = future_y if name == "y" else name
+            moving = outlook.moving(name, bounds) if outlook else None
+            if moving and name.endswith("_s"):
+                moving = _mixed(moving, lower, upper, margin)
+            problem.bound(variable, lower, upper, excess, name, gives_way, moving)
+
+
+def _in_bands(outlook: Outlook | None, weight: FloatArray) -> NDArray[np.intp]:
+    """Return which of the outputs in a band it costs to be outside of it."""
+    bands = outlook.bands if outlook else np.empty(0, dtype=np.intp)
+    return bands[np.diag(weight)[bands] > 0.0]
+
+
+def _hold_in_bands(
+    problem: Problem, outlook: Outlook, in_bands: NDArray[np.intp], weights: FloatArray, future_y: str
+) -> None:
+    """Weigh what outputs are outside their bands, above and below apart: a band may be a line."""
+    if not in_bands.size:
+        return
+    n, p = outlook.horizon, problem.rows["y"] // outlook.horizon
+    every, limit, none = np.eye(n * in_bands.size), np.zeros(in_bands.size), np.full(in_bands.size, np.inf)
+    kept = sample_by_sample(np.eye(n), np.eye(p)[in_bands])
+    edges = sample_by_sample(np.eye(n), np.eye(len(outlook.bands))[np.isin(outlook.bands, in_bands)])
+    below, above = ({BAND: edges @ outlook.edges(side)} for side in (0, 1))
+    for excess in _BESIDE:
+        problem.penalise(np.diag(weights[in_bands]), {excess: every}, {})
+    name = "band of y"
+    problem.bound(future_y, -none, limit, {"y_above": every}, name, moving=({}, above), rows=kept)
+    problem.bound(future_y, limit, none, {"y_below": -every}, name, moving=(below, {}), rows=kept)
+
+
+def _pay(problem: Problem, outlook: Outlook, widths: Mapping[str, int], future_y: str) -> None:
+    """Add what inputs and predicted outputs cost."""
+    for signal, width in widths.items():
+        if any(paid.signal == signal for paid in outlook.paid):
+            variable = future_y if signal == "y" else signal
+            problem.charge(PRICE, variable, outlook.amounts(signal, width))
+
+
+def _mixed(
+    moving: tuple[Blocks, Blocks], lower: FloatArray, upper: FloatArray, margin: float
+) -> tuple[Blocks, Blocks]:
+    """Draw moving limits together about their middle as :func:`_drawn_in` does those that stand."""
+    bounded = (np.isfinite(lower) & np.isfinite(upper))[:, np.newaxis]
+    near, far = np.where(bounded, (1.0 + margin) / 2.0, 1.0), np.where(bounded, (1.0 - margin) / 2.0, 0.0)
+    low, high = moving
+    return (
+        {name: near * block + far * high[name] for name, block in low.items()},
+        {name: near * block + far * low[name] for name, block in high.items()},
+    )
 
 
 def _inputs_before(problem: Problem, m: int) -> dict[str, FloatArray]:

@@ -59,6 +59,11 @@ class UncondensedLaw:
         target = self._problem.cost[1] @ parameters
         qp.right["misfit"][:] = target[self._misfits] / self._sizes
         qp.linear["x"][:] = -2.0 * target[~self._misfits] @ self._residual
+        qp.linear["x"][:] += parameters @ self._problem.paid[:, self._past :]
+        if self._limits_move:
+            for name, (lower, upper) in self._limits_at(parameters, len(qp.lower["x"])).items():
+                qp.lower[name][:], qp.upper[name][:] = lower, upper
+            qp.move_limits()
         qp.right["equality"][:] = self._problem.equality[1] @ parameters
         solution, failure = qp.solve()
         if failure:
@@ -94,7 +99,9 @@ class UncondensedLaw:
         """
         problem, data = self._problem, np.hstack([self._data, -self._data])
         past = self._past = problem.row_count - problem.rows["u"] - problem.rows["y"]
-        (cost, _), (equality, _), (bounded, lower, upper) = problem.cost, problem.equality, problem.bounded
+        (cost, _), (equality, _), bounds = problem.cost, problem.equality, problem.bounded
+        bounded, self._lower, self._upper = bounds.rows, bounds.lower, bounds.upper
+        self._limits_move = bool(self._lower[:, :-1].any() or self._upper[:, :-1].any())
 
         def split(rows: FloatArray) -> dict[str, FloatArray]:
             return {"g": rows[:, :past] @ data[:past], "x": rows[:, past:]}
@@ -102,7 +109,8 @@ class UncondensedLaw:
         self._misfits = cost[:, :past].any(axis=1)
         misfit, self._residual = cost[self._misfits], cost[~self._misfits, past:]
         self._sizes = np.linalg.norm(misfit, axis=1)
-        alone = np.count_nonzero(bounded, axis=1) == 1
+        alone = self._alone = np.count_nonzero(bounded, axis=1) == 1
+        self._variables = bounded[alone].argmax(axis=1) - past
         sizes = {
             "g": data.shape[1],
             "x": cost.shape[1] - past,
@@ -119,17 +127,23 @@ class UncondensedLaw:
             ("x", "x"): self._residual.T @ self._residual,
             ("misfit", "misfit"): np.diag(self._sizes**2),
         }
-        low, high = np.full(sizes["x"], -np.inf), np.full(sizes["x"], np.inf)
-        variables = bounded[alone].argmax(axis=1) - past
-        low[variables], high[variables] = lower[alone], upper[alone]
+        one = np.zeros(self._lower.shape[1])
+        one[-1] = 1.0
         limits = {
             "g": (np.zeros(sizes["g"]), np.full(sizes["g"], np.inf)),
-            "x": (low, high),
-            "difference": (lower[~alone], upper[~alone]),
+            **self._limits_at(one, sizes["x"]),
         }
         qp = SparseQP(sizes, half_hessian, equalities, limits, _TOLERANCE, _RELAXED)
         qp.linear["g"][:] = self._weight
         return qp
+
+    def _limits_at(self, parameters: FloatArray, variables: int) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return the limits of the variables x, and of differences of them."""
+        lower, upper = self._lower @ parameters, self._upper @ parameters
+        low, high = np.full(variables, -np.inf), np.full(variables, np.inf)
+        np.maximum.at(low, self._variables, lower[self._alone])
+        np.minimum.at(high, self._variables, upper[self._alone])
+        return {"x": (low, high), "difference": (lower[~self._alone], upper[~self._alone])}
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the solver's workspace behind: it is set up again when it is needed."""

@@ -11,7 +11,17 @@ Table = dict[str, Any]
 PROBLEMS, CONTROLLERS, SWEEP = "problems", "controllers", "sweep"
 EXTENDS, STUDY = "extends", "study"
 """The keys by which a study, and a problem of one, takes from another study."""
-OF_PROBLEM = ("plant", "loop", "reference", "bounds", "recording", "scenarios", "metrics")
+OF_PROBLEM = (
+    "plant",
+    "loop",
+    "reference",
+    "bounds",
+    "disturbances",
+    "prices",
+    "recording",
+    "scenarios",
+    "metrics",
+)
 """What a problem takes from a study."""
 # What a study says of its results, which are not those of one that extends it.
 _OF_RESULTS = ("name", "title", "summary")

@@ -11,6 +11,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ddpc_cosim.codec import KIND, Kinds, Prepared, Rule, Size, declared_fields
+from ddpc_cosim.durations import DURATION_SCHEMA
 from ddpc_cosim.plugins import installed
 from ddpc_cosim.settings import SettingInfo, Weight, declared_settings
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, EXTENDS, OF_PROBLEM, PROBLEMS, STUDY, SWEEP
@@ -124,7 +125,7 @@ class _Schemas:
             return {"type": "array", "items": self.of(arguments[0], info)}
         if dataclasses.is_dataclass(hint):
             return self._reference(hint, partial=partial)
-        return {"type": _TYPES[hint], **_range(hint, info)} if hint in _TYPES else {}
+        return _number_or_text(hint, info) if hint in _TYPES else {}
 
     def _entry(self, hint: Any, info: SettingInfo, partial: bool) -> Schema:
         """Return the schema of an entry of a table, which a study that extends another can leave out."""
@@ -170,12 +171,16 @@ class _Schemas:
             default = self._reference(kinds.classes[kinds.default], partial=False)
             by_kind.append({"if": {"not": {"required": [KIND]}}, "then": default})
         required = {} if kinds.default else {"required": [KIND]}
-        return {
+        schema: Schema = {
             "type": "object",
             "properties": {KIND: {"enum": list(kinds.classes)}},
             **required,
             "allOf": by_kind,
         }
+        for key, kind in kinds.marked.items():
+            marked = {"type": "object", "required": [key]}
+            schema = {"if": marked, "then": self._reference(kind, partial=False), "else": schema}
+        return schema
 
     def _settings(self, name: str, kind: type[Any]) -> Schema:
         """Return the schema of a controller's settings; open where it does not declare them."""
@@ -197,7 +202,7 @@ class _Schemas:
             return {"enum": list(info.choices)}
         if hint == Weight:
             return {"type": ["number", "array"]}
-        return {"type": _TYPES[hint], **_range(hint, info)} if hint in (bool, int, float) else {}
+        return _number_or_text(hint, info) if hint in (bool, int, float) else {}
 
 
 def _installed_controllers() -> dict[str, type[Any]]:
@@ -212,6 +217,20 @@ def _or_else(schema: Schema, other: Schema) -> Schema:
         alone = schema["items"] if other == {"type": "object"} else other
         return {"if": {"type": "array"}, "then": schema, "else": alone}
     return {"if": other, "else": schema}
+
+
+def _number_or_text(hint: Any, info: SettingInfo) -> Schema:
+    """Return the schema of a plain value; of a number in seconds also as people say a duration."""
+    schema = {"type": _TYPES[hint], **_range(hint, info)}
+    return (
+        {"if": {"type": "string"}, "then": DURATION_SCHEMA, "else": schema}
+        if _is_time(hint, info)
+        else schema
+    )
+
+
+def _is_time(hint: Any, info: SettingInfo) -> bool:
+    return hint is float and info.unit == "s"
 
 
 def _range(hint: Any, info: SettingInfo) -> Schema:

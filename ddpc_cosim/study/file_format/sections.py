@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from ddpc_cosim.codec import (
     ChangeName,
     DeclaredField,
+    Kinds,
     Prepared,
     Rule,
     Section,
@@ -25,10 +26,14 @@ from ddpc_cosim.codec import (
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.csv_files import TIME_TOLERANCE
+from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
+from ddpc_cosim.durations import MOMENT_SCHEMA, in_words, moment_of
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.excitations import InputExcitation
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
+from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plugins import shown_name
+from ddpc_cosim.prices import Price
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import (
     Choice,
@@ -42,7 +47,15 @@ from ddpc_cosim.settings import (
     map_plants,
     setting,
 )
-from ddpc_cosim.signals import Drift, InputSignal, ParameterChange, ReferenceSignal
+from ddpc_cosim.signals import (
+    REFERENCES,
+    Band,
+    Drift,
+    InputSignal,
+    ParameterChange,
+    Reference,
+    ReferenceSignal,
+)
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class
 from ddpc_cosim.study.file_format.replacing import PROBLEMS
@@ -93,6 +106,8 @@ PartName = Annotated[str, Rule(_without_dots, {"pattern": r"^[^.]+$"})]
 FMIKind = Literal["auto", "co-simulation", "model-exchange"]
 Preview = int | Literal["horizon"]
 Value = bool | int | float | str
+Moment = Annotated[float, Prepared(moment_of, MOMENT_SCHEMA)]
+"""A time of the run, or a date or a day, which count from the start of their year."""
 
 
 _SEEDS = 2**32
@@ -148,7 +163,7 @@ class PartSection(Section):
     parameters: dict[str, Value] = setting({}, doc="parameters that differ from its defaults")
     start: dict[str, float] = setting({}, doc="start values of its inputs; empty: its own")
     step: float | None = setting(
-        None, doc="its own step, which divides the communication step [s]; none: that step", above=0
+        None, doc="its own step, which divides the communication step; none: that step", unit="s", above=0
     )
     fmi_type: FMIKind = setting("auto", doc="how the FMU is run; auto: Co-Simulation if it has it")
     isolated: bool = setting(False, doc="run the FMU in a process of its own")
@@ -168,7 +183,7 @@ class CouplingSection(Section):
         doc="parallel: all parts step on what was known; sequential: on what those before them gave",
     )
     communication_step: float | None = setting(
-        None, doc="time between exchanges, which divides the sampling time [s]; none: that time", above=0
+        None, doc="time between exchanges, which divides the sampling time; none: that", unit="s", above=0
     )
     extrapolation: Literal["hold", "linear"] = setting("hold", doc="inputs from other parts during a step")
     loop_tolerance: float | None = setting(
@@ -196,7 +211,9 @@ class PlantSection(Section):
     parts: list[PartSection] = setting([], doc="the parts of a coupled plant")
     connections: list[Connection] = setting([], doc="what the parts exchange")
     coupling: CouplingSection | None = setting(None, doc="how the parts are coupled")
-    inputs: list[str] = setting([], doc="inputs that the controller drives; empty: all")
+    inputs: list[str] = setting(
+        [], doc="inputs that the controller drives; empty: all but the known disturbances"
+    )
     outputs: list[str] = setting([], doc="controlled outputs; empty: all")
     measurements: list[str] = setting(
         [], doc="what the controller may measure; empty: the controlled outputs"
@@ -259,67 +276,8 @@ class PlantSection(Section):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoopSection(Section):
-    """Timing of the closed loop."""
-
-    sampling_time: float = setting(doc="time between samples [s]", above=0)
-    duration: float = setting(doc="simulated time of the closed loop [s]", above=0)
-    start_time: float = setting(0.0, doc="time of the first sample [s]")
-    start: Literal["rest", "recording-end"] = setting(
-        "rest", doc="start from the plant's initial state, or where the recording ended"
-    )
-    step_timeout: float = setting(
-        DEFAULT_STEP_TIMEOUT, doc="longest time for any call of the plant or of a controller [s]", above=0
-    )
-    case_timeout: float | None = setting(None, doc="longest time for a whole case [s]; none: any", above=0)
-    memory_limit: float | None = setting(
-        None, doc="memory that a case may have [GB]; none: its share of the machine's (Linux)", above=0
-    )
-    preview: Preview = setting(
-        "horizon", low=0, doc="future references that any controller may see; horizon: as many as it asks for"
-    )
-
-    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
-        """Yield why the run is not made of samples."""
-        yield from faults_of(self._check)
-
-    def _check(self) -> None:
-        end_time(self.start_time, whole_steps(self.duration, self.sampling_time), self.sampling_time)
-
-    @property
-    def steps(self) -> int:
-        """Number of sampling intervals."""
-        return round(self.duration / self.sampling_time)
-
-    @property
-    def end(self) -> float:
-        """Time of the last sample [s]."""
-        return self.start_time + self.steps * self.sampling_time
-
-    def preview_of(self, scenario: "ScenarioSection") -> int | None:
-        """Return how many future references anyone may see in a scenario; None: as many as are asked for."""
-        preview = self.preview if scenario.preview is None else scenario.preview
-        return None if preview == "horizon" else preview
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoundsSection(Section):
-    """Limits of one input or controlled output; one left out is the plant's, an infinite one is none."""
-
-    min: float | None = setting(None, infinite=True, doc="lower limit; -inf: none, though the plant has one")
-    max: float | None = setting(None, infinite=True, doc="upper limit; inf: none, though the plant has one")
-    unit: str = setting("", doc="unit of min and max; empty: the variable's own")
-
-    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong with the order of the limits."""
-        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
-        if error := limits_error((low, high)):
-            yield "", error
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StabiliserSection(Section):
-    """The controller that keeps the plant while it is recorded; the excitation is added to its inputs."""
+    """A controller that keeps the plant while it is recorded or warms up, of which no result is reported."""
 
     type: str = setting(doc="a controller of `ddpc-cosim list controllers`, or module:Class")
     settings: dict[str, Any] = setting({}, doc="settings that differ from the controller's defaults")
@@ -355,6 +313,105 @@ def _with_names_in_settings(section: dict[str, Any], change: ChangeName, kind: A
 _OF_SETTINGS = {"settings", "sweep", "first_trials"}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSection(Section):
+    """Timing of the closed loop."""
+
+    sampling_time: float = setting(doc="time between samples", unit="s", above=0)
+    duration: float = setting(doc="simulated time of the closed loop", unit="s", above=0)
+    start_time: Moment = setting(
+        0.0, doc='time of the first sample; also a date or "day 23", counted from 1 January', unit="s"
+    )
+    start: Literal["rest", "recording-end"] = setting(
+        "rest", doc="start from the plant's initial state, or where the recording ended"
+    )
+    warm_up: float = setting(
+        0.0, doc="how long the plant runs before the first sample, which is not judged", unit="s", low=0
+    )
+    warm_up_controller: StabiliserSection | None = setting(
+        None, doc="controls it meanwhile; none: the plant's own control, or inputs at rest"
+    )
+    step_timeout: float = setting(
+        DEFAULT_STEP_TIMEOUT,
+        doc="longest time for any call of the plant or of a controller",
+        unit="s",
+        above=0,
+    )
+    case_timeout: float | None = setting(
+        None, doc="longest time for a whole case; none: any", unit="s", above=0
+    )
+    memory_limit: float | None = setting(
+        None, doc="memory that a case may have [GB]; none: its share of the machine's (Linux)", above=0
+    )
+    preview: Preview = setting(
+        "horizon", low=0, doc="future references that any controller may see; horizon: as many as it asks for"
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield why the run is not made of samples."""
+        yield from faults_of(self._check)
+        warm_up, duration = self.warm_up, self.duration
+        if warm_up > duration:
+            longer = f"{in_words(warm_up)} is longer than the run of {in_words(duration)}"
+            yield "warm_up", f"{longer}; choose a shorter one, or a longer duration"
+        elif abs(round(warm_up / self.sampling_time) * self.sampling_time - warm_up) > 1e-9 * duration:
+            multiple = f"an integer multiple of the sampling time, {in_words(self.sampling_time)}"
+            yield "warm_up", f"{in_words(warm_up)} must be {multiple}"
+        if warm_up and self.start == "recording-end":
+            yield "warm_up", 'start = "recording-end" goes on from the recording; leave one of them out'
+        if self.warm_up_controller is not None and not warm_up:
+            yield "warm_up_controller", "needs warm_up, the time for which it controls"
+
+    def _check(self) -> None:
+        end_time(self.start_time, whole_steps(self.duration, self.sampling_time), self.sampling_time)
+
+    @property
+    def steps(self) -> int:
+        """Number of sampling intervals."""
+        return round(self.duration / self.sampling_time)
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return self.start_time + self.steps * self.sampling_time
+
+    def preview_of(self, scenario: "ScenarioSection") -> int | None:
+        """Return how many future references anyone may see in a scenario; None: as many as are asked for."""
+        preview = self.preview if scenario.preview is None else scenario.preview
+        return None if preview == "horizon" else preview
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundsSection(Section):
+    """Limits of one input or controlled output; one left out is the plant's, an infinite one is none."""
+
+    min: float | ReferenceSignal | None = setting(
+        None, infinite=True, doc="lower limit, a number or a signal; -inf: none, though the plant has one"
+    )
+    max: float | ReferenceSignal | None = setting(
+        None, infinite=True, doc="upper limit, a number or a signal; inf: none, though the plant has one"
+    )
+    unit: str = setting("", doc="unit of min and max; empty: the variable's own")
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of limits that are numbers."""
+        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+        if not (isinstance(low, Reference) or isinstance(high, Reference)):
+            yield from (("", error) for error in filter(None, [limits_error((low, high))]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandSection(Section):
+    """Between what a controlled output is wanted, in place of a reference."""
+
+    band: Band = setting(doc="its edges")
+    unit: str = setting("", doc="unit of edges that have none of their own; empty: the variable's")
+
+
+Wanted = Annotated[Any, Kinds(REFERENCES, marked={"band": BandSection})]
+"""What is wanted of an output: a reference, or a band."""
+
+
 def _one_or_more(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
@@ -369,6 +426,15 @@ class RecordingSection(Section):
         {},
         doc="signals of inputs that no controller drives, in place of a scenario's: what acted while "
         "data were recorded",
+    )
+    disturbances: dict[str, InputSignal] = setting(
+        {}, doc="known disturbances during the experiment, in place of their own course"
+    )
+    start_time: Moment | None = setting(
+        None,
+        doc="time of its first sample, which signals go by; also a date or a day; none: with known "
+        "disturbances the experiment ends where the loop begins, else 0",
+        unit="s",
     )
     controller: StabiliserSection | None = setting(
         None, doc="stabilises the plant meanwhile, on the study's references; none: open loop"
@@ -389,15 +455,24 @@ class RecordingSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing of an experiment, or does not go with files."""
-        experiment = ("samples", "excitation", "inputs", "controller")
+        experiment = ("samples", "excitation", "inputs", "disturbances", "start_time", "controller")
         if self.file:
-            for key in (key for key in experiment if getattr(self, key)):
+            for key in (key for key in experiment if getattr(self, key) not in (None, {})):
                 yield key, "belongs to an experiment, and file to logged data; needed: one of them"
         else:
             if self.samples is None:
                 yield "samples", "required key is missing; or give the key file, for logged data"
             if self.columns:
                 yield "columns", "names columns of the key file, which is missing"
+
+    def begins(self, loop: LoopSection, *, is_disturbed: bool) -> float | None:
+        """Return the time of the experiment's first sample [s]; None: 0, or there is no experiment.
+
+        ``is_disturbed``: by known disturbances, whose data end where the loop begins unless one says more.
+        """
+        if self.start_time is not None or self.samples is None or not is_disturbed:
+            return self.start_time
+        return loop.start_time - self.samples * loop.sampling_time
 
 
 def _as_list(tables: Any) -> Any:
@@ -439,6 +514,12 @@ class ScenarioSection(Section):
         setting({}, doc="what is added to each input or output: a signal, or several that are added up")
     )
     inputs: dict[str, InputSignal] = setting({}, doc="signals of inputs that no controller drives")
+    known: dict[str, Knowledge] = setting(
+        {}, doc="what is known of disturbances, in place of what the study says of them"
+    )
+    prices: dict[str, float | ReferenceSignal] = setting(
+        {}, doc="prices in place of the study's, in its unit"
+    )
     bounds: dict[str, BoundsSection] = setting(
         {}, doc="limits in place of the study's, and of those that a controller has of its own"
     )
@@ -505,6 +586,16 @@ class MetricsSection(Section):
 
     cost: CostSection | None = setting(None, doc="a quadratic cost, which controllers are ranked by")
     relevant: RelevantSection | None = setting(None, doc="the smallest difference that matters; none: 1 %")
+    ranking: Ranking | None = setting(
+        None,
+        doc="what controllers are ranked by: errors or the cost, money, or money and discomfort both; none: "
+        "the last where there are prices, else the first",
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield that there are two things to rank by."""
+        if self.cost is not None and self.ranking in ("money", "pareto"):
+            yield "ranking", f'"{self.ranking}" and cost both rank; leave one of them out'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -737,12 +828,16 @@ class Study(StudyHead):
     varied: dict[str, Any] = setting({}, doc="what differs from that problem, by its path")
     plant: PlantSection = setting(doc="what is controlled")
     loop: LoopSection = setting(doc="timing of the closed loop")
-    reference: Annotated[dict[str, ReferenceSignal], Size(1)] = setting(
-        doc="one signal for each controlled output"
+    reference: Annotated[dict[str, Wanted], Size(1)] = setting(
+        doc="one signal or band for each controlled output"
     )
     bounds: dict[str, BoundsSection] = setting(
         {}, doc="limits of inputs and controlled outputs in place of the plant's"
     )
+    disturbances: dict[str, KnownDisturbance] = setting(
+        {}, doc="what acts on the plant and is known: inputs that no controller drives, or outputs"
+    )
+    prices: dict[str, Price] = setting({}, doc="what signals cost")
     recording: RecordingSection | None = setting(None, doc="what data-driven controllers learn from")
     controllers: Annotated[dict[ControllerName, ControllerSection], Size(1)] = setting(doc="what is compared")
     scenarios: Annotated[dict[Name, ScenarioSection], Size(1)] = setting(

@@ -12,8 +12,8 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.settings import Choice, Linear, is_plain, to_plain
-from ddpc_cosim.signals import REFERENCES, GaussianNoise, Reference, WhiteNoise, by_kind
-from ddpc_cosim.study.file_format.sections import search_table
+from ddpc_cosim.signals import REFERENCES, Band, GaussianNoise, Reference, WhiteNoise, by_kind
+from ddpc_cosim.study.file_format.sections import BandSection, search_table
 
 Table = dict[str, Any]
 """A table of a study file."""
@@ -56,6 +56,11 @@ def plain(value: Any, what: str = "") -> Any:
     if isinstance(value, Linear | Choice):
         return search_table(value)
     if is_dataclass(value) and not isinstance(value, type):
+        for signal in (getattr(value, held.name) for held in fields(value)):
+            if isinstance(signal, Reference):
+                signal_table(what, signal)  # which reports what it cannot write
+        if isinstance(value, Band):
+            value = BandSection(band=value, unit=value.unit)
         return write_in_short(value)
     if isinstance(value, Mapping):
         return {key: plain(item, what.format(key)) for key, item in value.items()}

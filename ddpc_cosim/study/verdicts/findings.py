@@ -57,6 +57,7 @@ class Lead(StrEnum):
     BEST_MEDIAN = "it has the best median, and the seeds are too few for a test"
     LEVEL = "no controller is significantly better by enough to matter"
     ALIKE = "no difference between them matters"
+    FRONT = "no controller is both cheaper and no less comfortable than one of them"
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Findings:
     @property
     def is_sure(self) -> bool:
         """Whether by the seeds no controller is better than the leaders: only then are they set in bold."""
-        sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
+        sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.FRONT, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
         return self.lead in sure and (self.standings.tested or self.lead is Lead.ONLY_SOUND)
 
     @property
@@ -348,6 +349,8 @@ def _lead(ranking: Standings) -> Lead:
         return Lead.BY_SCENARIO
     if len(sound) == 1:
         return Lead.ONLY_SOUND
+    if len(ranking.leaders) > 1 and ranking.is_pareto:
+        return Lead.FRONT
     if len(ranking.leaders) > 1:
         pairs = combinations(ranking.leaders, 2)
         alike = ranking.tested and all(ranking.is_surely_small(*pair) for pair in pairs)

@@ -7,6 +7,12 @@ while nothing is done; of that no more than three times as far as the reference 
 plant that is left alone may run away as far as it likes; of a task without either, the width of the output's
 limits, else its nominal value, or the magnitude of its reference where that is larger.
 
+Of an output that is wanted within a band, distances are those to the band. The size of its task is the
+largest of the band's width, of how far the band makes the output move, and of how far the output gets from it
+while nothing is done, of that no more than three times the larger of the others. What is left is in parts of
+the band's width, or of its distance to the one before where that is larger. While a declared disturbance
+moves, an output that follows a reference has nothing to settle to: of that nothing is concluded there.
+
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
 sample ahead (measurement noise, and what declared disturbances and inputs scatter the output: the smaller of
 that of the run and that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples
@@ -99,7 +105,7 @@ def judged(
     cases : iterable of CaseResult
         The cases.
     resting : mapping of Run to CaseResult
-        The runs of doing nothing; where one is missing, it decides nothing.
+        The runs of doing nothing, under the same disturbances; where one is missing, it decides nothing.
     """
     return tuple(_judged(case, resting.get(run_of(case)), scenarios.get(case.scenario)) for case in cases)
 
@@ -128,7 +134,7 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
 
 def task_size(tracking: Tracking, nothing: Tracking | None) -> float:
     """Return the size of an output's task, in its unit, by what it does itself while nothing is done."""
-    moved = _moved(tracking, nothing)
+    moved = max(_moved(tracking, nothing), tracking.width or 0.0)
     if 0.0 < moved < math.inf:
         return moved
     return tracking.room if 0.0 < tracking.room < math.inf else tracking.nominal
@@ -136,7 +142,8 @@ def task_size(tracking: Tracking, nothing: Tracking | None) -> float:
 
 def _moved(tracking: Tracking, nothing: Tracking | None) -> float:
     gone = nothing.deviation if nothing else 0.0
-    return max(tracking.travel, gone if tracking.is_regulation else min(gone, _FARTHEST * tracking.travel))
+    most = _FARTHEST * max(tracking.travel, tracking.width or 0.0)
+    return max(tracking.travel, gone if tracking.is_regulation else min(gone, most))
 
 
 def _unavoidable(
@@ -146,7 +153,8 @@ def _unavoidable(
     quantum = scenario.effects.get("quantum", {}).get(tracking.output, 0.0) if scenario else 0.0
     # Where nothing acts on the plant, what its own dynamics do is not noise. The smaller: what is wild in one
     # of the two runs, as an unstable plant that is left alone, is none either.
-    acts = scenario is not None and bool(scenario.disturbances or scenario.inputs)
+    by_scenario = scenario is not None and bool(scenario.disturbances or scenario.inputs)
+    acts = tracking.is_disturbed or by_scenario
     scatter = min(tracking.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0
     return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)
 
@@ -158,7 +166,7 @@ def _left(tracking: Tracking, size: float, unavoidable: Unavoidable) -> float:
         * max(end.error - unavoidable.mean(end.rows), 0.0)
         / (end.step if end.step > _SMALLEST_STEP * tracking.travel else size)
         for end in tracking.ends
-        if end.settling
+        if end.settling and not end.disturbed
     ]
     return max(parts, default=math.nan)
 
@@ -171,7 +179,8 @@ def _distance(
         far = max((_far(end, unavoidable[output.output]) for end in output.ends), default=math.inf)
         share = far / sizes[output.output]
         if not share < _FAILED:
-            return f"{output.output} ends {_percent(share)} its task away from its reference"
+            what = "reference" if output.width is None else "band"
+            return f"{output.output} ends {_percent(share)} its task away from its {what}"
     return ""
 
 
@@ -241,18 +250,20 @@ def none_settles(cases: Iterable[CaseResult]) -> str:
         Of one scenario; what a controller leaves is the median over its cases.
     """
     shares: dict[str, list[float]] = {}
-    for case in cases:
+    everything = [*cases]
+    for case in everything:
         shares.setdefault(case.controller, []).append(math.inf if case.failed else case.left)
     if not shares or any(
         math.isnan(share) for controller_shares in shares.values() for share in controller_shares
     ):
         return ""
     best = min(map(median, shares.values()))
+    has_bands = any(output.width is not None for case in everything for output in case.tracking)
     if best <= SETTLED:
         return ""
     if math.isinf(best):
         return "No controller settles in most of its runs: at least half of the runs of each fail"
-    what = f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of a step"
+    what = f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of a {'band' if has_bands else 'step'}"
     return f"No controller settles within {SETTLED:g} %: {what}"
 
 

@@ -1,8 +1,8 @@
 """Statistics over problems: performance profiles and average ranks; and which settings matter."""
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 import scipy  # whose parts are imported when they are first used
@@ -10,7 +10,7 @@ import scipy  # whose parts are imported when they are first used
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.standings import Standings
-from ddpc_cosim.study.verdicts.statistics import LEVEL, Better, check_frame, groups
+from ddpc_cosim.study.verdicts.statistics import LEVEL, Better, Runs, check_frame, groups
 from ddpc_cosim.variables import FloatArray
 
 if TYPE_CHECKING:
@@ -205,19 +205,44 @@ RANKED = "mean_abs_error"
 def problems_frame(rankings: Iterable[Standings]) -> "pd.DataFrame | None":
     """Return the runs of several problems by what each ranks by; None of fewer than two with any.
 
-    Of several outputs each is a condition of its own.
+    Of several outputs each is a condition of its own. Of money, which may be earned too, and of fronts it is
+    the rank in each scenario that counts.
     """
     import pandas as pd  # with one problem it is not needed
 
     runs = [
         (problem, key, controller, scenario, seed, value, math.isnan(value))
         for problem, ranking in enumerate(rankings)
-        for key, by_controller in ranking.runs.items()
+        for key, by_controller in _ranked_runs(ranking)
         for controller, values in by_controller.items()
         for (scenario, seed), value in values.items()
     ]
     columns = ["problem", "variant", "controller", "scenario", "seed", RANKED, "failed"]
     return pd.DataFrame(runs, columns=columns) if len({run[0] for run in runs}) > 1 else None
+
+
+def _ranked_runs(ranking: Standings) -> Iterator[tuple[str, Mapping[str, Runs]]]:
+    """Yield the runs by what is ranked by, or the ranks in their place."""
+    if not ranking.is_of_money:
+        yield from ((key, ranking.runs[key]) for key in ranking.keys)
+        return
+    overall = {standing.controller: standing.rank for standing in ranking.order}
+    of_scenario = {
+        name: {standing.controller: standing.rank for standing in part.order}
+        for name, part in ranking.by_scenario.items()
+    }
+    yield (
+        "rank",
+        {
+            name: {
+                (scenario, seed): math.nan
+                if math.isnan(value)
+                else float(of_scenario.get(cast("str", scenario), overall)[name])
+                for (scenario, seed), value in values.items()
+            }
+            for name, values in ranking.runs[ranking.keys[0]].items()
+        },
+    )
 
 
 def profile_frame(frame: "pd.DataFrame", metric: str) -> Profile:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from markupsafe import Markup
 
+from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
 from ddpc_cosim.study.verdicts.standings import Standings
@@ -16,9 +17,23 @@ from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
 
 _NAMED = 3
 """Controllers that are named where there are more."""
+_MOST = 1000.0
+"""From so many percent on, and of nothing, a difference is said in its unit."""
 
 Labels = Mapping[str, str]
 """Of controllers or scenarios by name, what they are called in print."""
+Show = Callable[[str, float], str]
+"""Writes a value of a metric, given by its key, with its unit."""
+
+
+def plain_value(key: str, value: float) -> str:
+    """Write a value as every terminal can show it."""
+    return f"{value:.3g} {_unit(key)}"
+
+
+def _unit(key: str) -> str:
+    """Return the unit of a metric in which a difference of temperatures is in K."""
+    return split_key(key)[2].replace("degC", "K")
 
 
 def join_words(parts: Sequence[str | Markup]) -> Markup:
@@ -48,7 +63,9 @@ def sentence(clause: Markup) -> Markup:
     return clause[:1].upper() + clause[1:]
 
 
-def lead_clause(findings: Findings, controllers: Labels, scenarios: Labels) -> Markup:
+def lead_clause(
+    findings: Findings, controllers: Labels, scenarios: Labels, show: Show = plain_value
+) -> Markup:
     """Say who is ahead, and in which way; of scenarios that disagree, who leads where."""
     ranking = findings.standings
     if findings.lead is Lead.NOBODY:
@@ -64,6 +81,10 @@ def lead_clause(findings: Findings, controllers: Labels, scenarios: Labels) -> M
         return Markup("{} alone has no failed run, {}").format(bold(controllers[first]), over)
     if findings.lead in (Lead.LEVEL, Lead.ALIKE):
         return _level(findings, controllers, over)
+    if findings.lead is Lead.FRONT:
+        return _front(findings, controllers, over, show)
+    if ranking.is_of_money and findings.following:
+        return _cheaper(findings, controllers, over, show)
     name = (bold if findings.is_sure else italic)(controllers[first])
     medians = "has the best median" if len(ranking.keys) == 1 else "has the best medians"
     return Markup("{} {} {}").format(name, "is ahead" if findings.lead is Lead.AHEAD else medians, over)
@@ -96,6 +117,67 @@ def _level(findings: Findings, controllers: Labels, over: str) -> Markup:
     elif findings.tells_leaders_apart:
         how = " and none of them is significantly better by enough to matter"
     return Markup("{} lead {}{}").format(who, over, how)
+
+
+def _front(findings: Findings, controllers: Labels, over: str, show: Show) -> Markup:
+    """Say who is not dominated, who of them is cheapest, and who the most comfortable."""
+    ranking, name = findings.standings, bold if findings.is_sure else italic
+    who = some_of([name(controllers[key]) for key in findings.leaders])
+    praise: dict[str, list[str]] = {findings.leaders[0]: ["cheapest"]}
+    for key in ranking.discomforts:
+        samples = ranking.samples[key]
+        best = min(findings.leaders, key=lambda leader: samples[leader].median)
+        of = f" in {split_key(key)[1]}" if len(ranking.discomforts) > 1 else ""
+        praise.setdefault(best, []).append(f"the most comfortable{of}")
+    parts = [
+        Markup("{} is {} ({})").format(
+            italic(controllers[leader]), join_words(words), _figures(findings, leader, show)
+        )
+        for leader, words in praise.items()
+    ]
+    return Markup("{} are not dominated {}: {}").format(who, over, Markup(", ").join(parts))
+
+
+def _figures(findings: Findings, name: str, show: Show) -> str:
+    """Write the medians of money and discomfort."""
+    ranking = findings.standings
+    keys = dict.fromkeys((*ranking.keys, *ranking.discomforts))
+    return ", ".join(show(key, ranking.samples[key][name].median) for key in keys)
+
+
+def _cheaper(findings: Findings, controllers: Labels, over: str, show: Show) -> Markup:
+    """Say how much less than the next one costs, and at how much more or less discomfort."""
+    ranking, (first, *_), other = findings.standings, findings.leaders, findings.following
+    name = (bold if findings.is_sure else italic)(controllers[first])
+    costs = _against(ranking, ranking.keys[0], first, other, show)
+    comfort = [_discomfort(ranking, key, first, other, show) for key in ranking.discomforts]
+    none_is_more = [text for text in comfort if text.startswith("at no more ")]
+    if len(none_is_more) == len(comfort) > 1:
+        comfort = ["at no more discomfort"]
+    return Markup("{} costs {} than {} {} {}").format(
+        name, costs or "no more", italic(controllers[other]), join_words(comfort), over
+    )
+
+
+def _discomfort(ranking: Standings, key: str, first: str, other: str, show: Show) -> str:
+    name, signal, _ = split_key(key)
+    noun = _unit(key) if name == "band_violation" else metric_name(name)
+    of = f" of {signal}" if len(ranking.discomforts) > 1 else ""
+    more = _against(ranking, key, first, other, show)
+    if not more:
+        return f"at no more {noun}{of}"
+    return f"with {more} {noun}{of}" if "%" in more else f"with {more}{of}"
+
+
+def _against(ranking: Standings, key: str, first: str, other: str, show: Show) -> str:
+    """Write by how much the first differs from another, as ``12 % less``; nothing where neither is worse."""
+    worse = ranking.worse_in(key, first, other)
+    if not worse:
+        return ""
+    share, difference = ranking.ratio(key, other, first) - 1.0, ranking.above(key, other, first).median
+    percent = abs(100.0 * share)
+    size = f"{percent:.{1 if percent < 9.95 else 0}f} %" if percent < _MOST else show(key, abs(difference))
+    return f"{size} {'less' if worse == other else 'more'}"
 
 
 def _by_scenario(ranking: Standings, controllers: Labels, scenarios: Labels) -> Markup:

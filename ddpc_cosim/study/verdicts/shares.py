@@ -147,7 +147,9 @@ def share_frame(whole: "WholeStudy", cases: Sequence[CaseResult], metric: str) -
         study = whole.problems[name]
         if study.report.reference_points:
             known = dict.fromkeys(key for case in problem_cases for key in case.metrics)
-            metrics = [key for key in chosen if key in known] if metric else headline(known)
+            metrics = (
+                [key for key in chosen if key in known] if metric else headline(known, study.metrics.ranking)
+            )
             rows += [
                 {
                     "problem": study.variant_of or name,

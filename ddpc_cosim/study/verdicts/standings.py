@@ -1,14 +1,14 @@
 """The standings of one problem: who is ahead, who differs significantly, and whose runs failed."""
 
 import math
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from statistics import fmean, median
 from typing import NamedTuple, cast
 
-from ddpc_cosim.metrics import headline, metric_of, split_key
+from ddpc_cosim.metrics import discomfort, headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.judgement import all_failed, set_aside
@@ -24,8 +24,12 @@ from ddpc_cosim.study.verdicts.statistics import (
 )
 from ddpc_cosim.trace import Outcome
 
-_ERRORS = ("cost", "mean_abs_error", "rmse")
-"""What is ranked by, and its companion: errors of a run that failed say nothing of those that did not."""
+_ERRORS = ("cost", "mean_abs_error", "rmse", "money", "band_violation")
+"""What is ranked by, and its companion: those of a run that failed say nothing of those that did not."""
+_BAND = 0.1
+"""Of a band's width, over the whole run: what a percentage of discomfort is at least taken of."""
+_HOUR = 3600.0  # s
+_MONEY = "money"
 _PERCENT = 1.0
 _DIGITS = 3
 """Significant digits that tables print of a median: who is equal in them is equal in rank."""
@@ -39,7 +43,8 @@ class Standing(NamedTuple):
     controller : str
         Its name in the study.
     rank : int
-        One more than the number of controllers that are better: the best rank that the data allow.
+        One more than the number of controllers that are better: the best rank that the data allow. By money
+        and discomfort both the number of its front.
     failed, runs : int
         Runs that failed, and all runs.
     worst : int
@@ -70,7 +75,8 @@ class Relevant:
     Parameters
     ----------
     absolute : float or mapping of str to float, optional
-        The difference, in the unit in which the figure is shown; by controlled output if there are several.
+        The difference, in the unit in which the figure is shown; by controlled output if there are several,
+        and ``money``.
     percent : float, optional
         In percent of the best controller's figure or of the size of the task, the larger of these; default:
         1, and of what has an absolute one 0.
@@ -89,8 +95,8 @@ class Relevant:
         best, task : float
             The best controller's figure, and the size of the task; NaN: not known.
         """
-        given = self.absolute
-        absolute = given.get(split_key(key)[1]) if isinstance(given, Mapping) else given
+        given, (name, signal, _) = self.absolute, split_key(key)
+        absolute = given.get(signal or name) if isinstance(given, Mapping) else given
         percent = (_PERCENT if absolute is None else 0.0) if self.percent is None else self.percent
         size = max((abs(value) for value in (best, task) if math.isfinite(value)), default=0.0)
         return max(absolute or 0.0, percent / 100 * size)
@@ -107,12 +113,17 @@ class Standings:
 
     Where scenarios disagree on who is ahead, there is no overall rank: see :attr:`disagreements`.
 
+    By money and discomfort both, ranks are Pareto fronts: of the first are those that no other dominates,
+    which is to be better in the sense above; of the second those that none but they dominate; and so on.
+
     Parameters
     ----------
     keys : tuple of str
-        The metrics that are ranked by: one, or one for each controlled output.
+        The metrics that are ranked by: one, or one for each controlled output; or money, and the discomfort
+        of each output.
     runs : dict of str to dict of str to Runs
-        By key and controller, the runs in the scenarios that count, NaN of those that failed.
+        By key and controller, the runs in the scenarios that count, NaN of those that failed; also of metrics
+        that are shown beside what is ranked by.
     left_out : tuple of str
         Scenarios in which every controller fails: they do not count.
     relevant : Relevant
@@ -126,6 +137,26 @@ class Standings:
     left_out: tuple[str, ...]
     relevant: Relevant = Relevant()
     tasks: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def is_pareto(self) -> bool:
+        """Whether it is ranked by money and discomfort both."""
+        return self.is_of_money and len(self.keys) > 1
+
+    @property
+    def is_of_money(self) -> bool:
+        """Whether it is ranked by money, alone or not."""
+        return bool(self.keys) and split_key(self.keys[0])[0] == _MONEY
+
+    @property
+    def discomforts(self) -> tuple[str, ...]:
+        """The keys that stand beside money, whether it is ranked by them too or not."""
+        return tuple(key for key in self.runs if split_key(key)[0] != _MONEY) if self.is_of_money else ()
+
+    @cached_property
+    def fronts(self) -> tuple[tuple[str, ...], ...]:
+        """The controllers without a failed run in fronts: see :func:`pareto_fronts`."""
+        return pareto_fronts(self._sound, lambda a, b: self._worse(a, b) == b)
 
     @cached_property
     def failed(self) -> dict[str, int]:
@@ -170,15 +201,17 @@ class Standings:
         """By key, the smallest difference that matters, in its unit."""
         best = {
             key: min((self.samples[key][name].median for name in self._sound), key=metric_of(key).rank)
-            for key in (self.keys if self._sound else ())
+            for key in (self.runs if self._sound else ())
         }
         return {
-            key: self.relevant.difference(key, best.get(key, math.nan), self._task(key)) for key in self.keys
+            key: self.relevant.difference(key, best.get(key, math.nan), self._task(key)) for key in self.runs
         }
 
     @cached_property
     def order(self) -> tuple[Standing, ...]:
         """The controllers, the best first; those of one rank in the order of their medians."""
+        if self.is_pareto:
+            return self._order_of_fronts
         sound, total = self._sound, len(self.failed)
         failing = sorted(failed for failed in self.failed.values() if failed)
         count = {name: len(values) for name, values in self._by_controller.items()}
@@ -196,6 +229,19 @@ class Standings:
             else:
                 rank, worst = 1 + behind[name], total - len(failing) - ahead[name]
             ranked.append(Standing(name, rank, failed, count[name], worst, shown))
+        return tuple(sorted(ranked, key=lambda standing: (standing.rank, self._place(standing.controller))))
+
+    @property
+    def _order_of_fronts(self) -> tuple[Standing, ...]:
+        """Return the controllers front by front, the cheapest of each first, then those with failed runs."""
+        front = {name: place for place, names in enumerate(self.fronts, start=1) for name in names}
+        failing = sorted({failed for failed in self.failed.values() if failed})
+        count = {name: len(values) for name, values in self._by_controller.items()}
+        shown = len(self.failed) > 1 and self.failed != count and not self.disagreements
+        ranked = []
+        for name, failed in self.failed.items():
+            rank = len(self.fronts) + 1 + failing.index(failed) if failed else front[name]
+            ranked.append(Standing(name, rank, failed, count[name], rank, shown))
         return tuple(sorted(ranked, key=lambda standing: (standing.rank, self._place(standing.controller))))
 
     @property
@@ -287,7 +333,9 @@ class Standings:
 
     @cached_property
     def _behind(self) -> dict[str, int]:
-        """Return of each controller of which no run failed how many are better."""
+        """Return of each controller of which no run failed how many, or how many fronts, are better."""
+        if self.is_pareto:
+            return {name: place for place, names in enumerate(self.fronts) for name in names}
         behind = dict.fromkeys(self._sound, 0)
         for a, b in combinations(self._sound, 2):
             if worse := self._worse(a, b):
@@ -321,14 +369,17 @@ class Standings:
         """Return whether one of two is significantly better in one scenario, and not in another."""
         here = [self.by_scenario[name] for name in (scenario, other)]
         ran = all({*pair} <= ranking.failed.keys() for ranking in here)
-        return ran and len({ranking._worse_in(key, *pair) for ranking in here}) > 1
+        if not ran or self.is_pareto:  # who is cheaper by more in one of them is still not dominated
+            return ran and len({ranking._worse(*pair) for ranking in here}) > 1
+        return len({ranking.worse_in(key, *pair) for ranking in here}) > 1
 
     def _worse(self, a: str, b: str) -> str:
         """Return the worse of two controllers of which no run failed; nothing where neither is."""
-        worse = {self._worse_in(key, a, b) for key in self.keys} - {""}
+        worse = {self.worse_in(key, a, b) for key in self.keys} - {""}
         return worse.pop() if len(worse) == 1 else ""
 
-    def _worse_in(self, key: str, a: str, b: str) -> str:
+    def worse_in(self, key: str, a: str, b: str) -> str:
+        """Return the worse of two controllers without failed runs in a metric; nothing where neither is."""
         if self._too_small(key, a, b):
             return ""
         if self.tested:
@@ -364,15 +415,35 @@ class Standings:
         return [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
 
     def _place(self, name: str) -> float:
-        """Return the mean place of a controller's medians among those of all, key by key."""
+        """Return the mean place of a controller's medians among those of all; of fronts that of its money."""
         places = []
-        for key in self.keys:
+        for key in self.keys[:1] if self.is_pareto else self.keys:
             values = {
                 other: metric_of(key).rank(sample.median) for other, sample in self.samples[key].items()
             }
             known = sorted(value for value in values.values() if not math.isnan(value))
             places.append(known.index(values[name]) if values[name] in known else math.inf)
         return fmean(places) if places else 0.0
+
+
+def pareto_fronts(names: Iterable[str], dominates: Callable[[str, str], bool]) -> tuple[tuple[str, ...], ...]:
+    """Return who is dominated by none of the others, then who is by none but those, and so on.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Who is compared.
+    dominates : callable
+        Whether the first of two dominates the other. Statistics can have some dominate each other in a
+        circle: of them, who is dominated by the fewest comes first.
+    """
+    left, fronts = [*names], list[tuple[str, ...]]()
+    while left:
+        above = {name: sum(dominates(other, name) for other in left if other != name) for name in left}
+        fewest = min(above.values())
+        fronts.append(tuple(name for name in left if above[name] == fewest))
+        left = [name for name in left if above[name] > fewest]
+    return tuple(fronts)
 
 
 def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
@@ -435,24 +506,38 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
         if all_failed(case for case in group if case.controller not in aside)
     )
     counting = [case for name, group in by_scenario.items() if name not in left_out for case in group]
-    keys = headline(dict.fromkeys(key for case in counting for key in case.metrics))
-    runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
+    every = dict.fromkeys(key for case in counting for key in case.metrics)
+    keys = headline(every, study.metrics.ranking)
+    beside = discomfort(every) if any(split_key(key)[0] == _MONEY for key in keys) else ()
+    runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {
+        key: {} for key in dict.fromkeys((*keys, *beside))
+    }
     for case in counting:
         if case.controller not in aside:
-            for key in keys:
+            for key in runs:
                 value = case.metrics.get(key, math.nan) if not case.failed else math.nan
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
-    tasks = {name: _tasks(keys, group) for name, group in by_scenario.items() if name not in left_out}
+    tasks = {name: _tasks(runs, group) for name, group in by_scenario.items() if name not in left_out}
     by_key: dict[str, dict[str, Runs]] = {key: dict(by_controller) for key, by_controller in runs.items()}
     return Standings(keys, by_key, left_out, relevant, tasks)
 
 
 def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:
-    """Return by key of an output's error the size of its task, the median over the runs; of a cost none."""
-    return {
-        key: median(sizes)
-        for key in keys
-        if (sizes := [case.tasks[name] for case in cases if (name := split_key(key)[1]) in case.tasks])
-    }
+    """Return by key of an output's error the size of its task, the median over the runs; of a cost none.
+
+    Of what is integrated outside a band it is a part of the band's width, over the whole run.
+    """
+    return {key: median(sizes) for key in keys if (sizes := [*_sizes(key, cases)])}
+
+
+def _sizes(key: str, cases: Iterable[CaseResult]) -> Iterator[float]:
+    name, signal, _ = split_key(key)
+    for case in cases:
+        if name == "band_violation":
+            of_bands = (output for output in case.tracking if output.output == signal)
+            for output in of_bands:
+                yield _BAND * (output.width or 0.0) * output.factor * case.simulated_time / _HOUR
+        elif signal in case.tasks:
+            yield case.tasks[signal]

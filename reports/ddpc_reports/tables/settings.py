@@ -247,6 +247,13 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
         for what, sections in (("reference", study.reference), ("limits", study.bounds))
         for name, section in cast("Mapping[str, Any]", sections).items()
     ]
+    facts += [
+        (f"known disturbance {_plain(name)}", mapping_text(differing(disturbance)))
+        for name, disturbance in study.disturbances.items()
+    ]
+    facts += [
+        (f"price {_plain(name)}", mapping_text(differing(price))) for name, price in study.prices.items()
+    ]
     facts += _recording_facts(study.recording, units) if study.recording else []
     facts += [
         (
@@ -262,6 +269,8 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
         (f"smallest relevant difference: {kind}", text)
         for kind, text in (_others(relevant, ()) if relevant else ())
     ]
+    if study.metrics.ranking is not None:
+        facts.append(("ranking", study.metrics.ranking))
     facts.append(("seeds", compact_seeds(study.seeds)))
     own_limits = any(section.bounds for section in study.controllers.values())
     but = ", but for limits of their own" if own_limits else ""
@@ -333,9 +342,10 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
     ]
     facts += [
         (f"{name} in the recording", _signal(signal, units.get(name, "")))
-        for name, signal in recording.inputs.items()
+        for name, signal in (*recording.inputs.items(), *recording.disturbances.items())
     ]
-    others = _others(recording, {"samples", "controller", "excitation", "inputs", "file"})
+    said = {"samples", "controller", "excitation", "inputs", "disturbances", "file"}
+    others = _others(recording, said)
     return facts + [(f"recording: {name}", text) for name, text in others]
 
 

@@ -28,6 +28,7 @@ from ddpc_cosim import (
     Loop,
     Plant,
     Sample,
+    Variable as DisturbanceVariable,
     cosimulate,
 )
 from ddpc_cosim.study.reading import read_study
@@ -37,6 +38,7 @@ from fmu_plants import (
     PlantModel,
     Variable,
     build_fmu,
+    building,
     cart_pendulum,
     cstr,
     pendulum,
@@ -302,3 +304,26 @@ def test_what_cannot_be_is_an_error_that_says_so(fmu_of: Any, tmp_path: Path) ->
         model(fmu="{plant}")
     with pytest.raises(FMUStepError):
         model(parameters={"angle": 1e308, "angular_velocity": 1e308}, settling_time=1.0)
+
+
+@pytest.mark.parametrize("derivatives", ["directional", "differences", "pulses"])
+def test_known_disturbances_are_inputs_of_the_fmu(fmu_of: Any, derivatives: Any) -> None:
+    path = fmu_of(building.MODEL)
+    names = [v.name for v in building.MODEL.inputs]
+    whole = loop_of(path, names, ["indoor_temperature"], 900.0)
+    driven = loop_of(path, names[:1], ["indoor_temperature"], 900.0)
+    loop = replace(driven, disturbances=whole.inputs[1:])
+    source = FMUModel(fmu=path, derivatives=derivatives, isolated=False)
+    together, model = source.model(whole), source.model(loop)
+    every = replace(model, b=np.hstack([model.b, model.e]))
+    expected = markov_parameters(together, 40)
+    error = np.abs(markov_parameters(every, 40) - expected).max(axis=(0, 1))
+    assert (error <= 1e-6 * np.abs(expected).max(axis=(0, 1))).all()
+    assert [*model.u_0, *model.d_0] == together.u_0.tolist()
+
+
+def test_a_disturbance_that_is_not_an_input_of_the_fmu_is_refused(fmu_of: Any) -> None:
+    path = fmu_of(pendulum.MODEL)
+    loop = replace(loop_of(path, ["torque"], ["angle"]), disturbances=(DisturbanceVariable("wind"),))
+    with pytest.raises(ConfigError, match=r"wind.*\n?.*include the known disturbances \(wind\)"):
+        FMUModel(fmu=path, isolated=False).model(loop)

@@ -5,6 +5,7 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from datetime import date
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -15,6 +16,7 @@ import pytest
 from ddpc_controllers import MFAPC, PID, DeePC
 from ddpc_cosim import (
     PRBS,
+    Band,
     Chirp,
     Choice,
     Conditions,
@@ -24,14 +26,17 @@ from ddpc_cosim import (
     Drift,
     Entry,
     Factor,
+    ForecastFile,
     GaussianNoise,
     Integer,
     Interpolated,
+    KnownDisturbance,
     Linear,
     Log,
     MixedExcitation,
     Multisine,
     ParameterChange,
+    Price,
     Problem,
     Ramp,
     RecordedSignal,
@@ -269,6 +274,46 @@ PROBLEMS = {
         parts=PARTS,
         **OPEN_LOOP,
     ),
+    "regulated": Problem(
+        plant="building",
+        inputs=["heating"],
+        outputs=["room_temperature"],
+        sampling_time="15 min",
+        duration="14 d",
+        start_time=date(2026, 1, 23),
+        reference=Band(20.0, Steps([0.0], [24.0]), "degC"),
+        bounds={"heating": (0.0, Steps([0.0], [1.0]))},
+        excitation=UniformRandom(0.0, 1.0, samples=90),
+        disturbances={
+            "outdoor_temperature": KnownDisturbance(
+                signal=SIGNALS["sine"], lag=1, forecast=ForecastFile("f.csv", "issued", "degC")
+            ),
+            "sun": KnownDisturbance(signal=SIGNALS["steps"], known="medium"),
+        },
+        recorded_disturbances={"sun": Constant(1.0)},
+        recording_start="day 3",
+        prices={
+            "electricity": Price(
+                signal="heating",
+                price=0.25,
+                unit="EUR/kWh",
+                factor=0.3,
+                known=False,
+                emissions=SIGNALS["steps"],
+                emissions_unit="g/kWh",
+            )
+        },
+        warm_up="7 d",
+        warm_up_controller=PID(proportional=2.0),
+        ranking="pareto",
+        scenarios={
+            "cold": Scenario(
+                known={"sun": "perfect"},
+                prices={"electricity": Steps([0.0], [0.4])},
+                bounds={"heating": (0, 2)},
+            )
+        },
+    ),
     "ssp": Problem(plant="system.ssp", outputs=["y"], parts=PARTS, **OPEN_LOOP),
 }
 
@@ -278,8 +323,12 @@ def classes_of(hint: Any, table: Any = None) -> Sequence[Any]:
     if get_origin(hint) is Annotated:
         kinds = next((argument for argument in get_args(hint) if isinstance(argument, Kinds)), None)
         if kinds and table is not None:
-            return [kinds.classes[table.get(KIND, kinds.default)]]
-        return [*kinds.classes.values()] if kinds else classes_of(get_args(hint)[0], table)
+            return [kinds.marked_in(table) or kinds.classes[table.get(KIND, kinds.default)]]
+        return (
+            [*kinds.classes.values(), *kinds.marked.values()]
+            if kinds
+            else classes_of(get_args(hint)[0], table)
+        )
     if get_origin(hint) in (Union, UnionType):
         return [kind for argument in get_args(hint) for kind in classes_of(argument, table)]
     return [hint] if dataclasses.is_dataclass(hint) else []

@@ -15,10 +15,13 @@ from ddpc_cosim import (
     PRBS,
     Conditions,
     ConfigError,
+    Constant,
     Controller,
     FloatArray,
+    KnownDisturbance,
     Loop,
     ParameterChange,
+    Price,
     Ramp,
     Recording,
     Sample,
@@ -292,6 +295,14 @@ OTHER: dict[str, Any] = {
     "preview": 3,
     "conditions": Conditions(delay={"torque": 0.1}),
     "undriven": (Variable("other"),),
+    "disturbances": {"wind": KnownDisturbance(known="perfect")},
+    "recorded_disturbances": {"wind": Constant(1.0)},
+    "recording_start": 0.0,
+    "prices": {"power": Price(signal="torque", price=1.0, unit="EUR/kWh")},
+    "read": (Variable("other output"),),
+    "forecast_horizon": 3,
+    "warm_up": 0.5,
+    "warm_up_controller": {"type": "pid", "settings": {}},
 }
 """Another value of every field of a case that decides its result."""
 

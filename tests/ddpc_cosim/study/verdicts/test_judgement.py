@@ -207,3 +207,77 @@ def test_what_is_left_is_in_parts_of_a_step_or_of_the_task(step: float, settles:
     result = concluded(tracking(0.15, 0.1, step))
     assert result.settles == settles
     assert result.left == pytest.approx(15.0 / (step or 2.0))
+
+
+def within_band(
+    end: float,
+    error: float = 0.0,
+    *,
+    width: float = 4.0,
+    travel: float = 0.0,
+    gone: float = 0.0,
+) -> Tracking:
+    """Return what an output says that ends so far from its band, and gets so far from it."""
+    window = EndWindow(10, end, end, width, settling=True)
+    return Tracking("y", travel, math.inf, 20.0, gone, 0.0, error, ends=(window,), width=width)
+
+
+def test_a_run_that_stays_in_its_band_neither_fails_nor_does_not_settle() -> None:
+    """Doing nothing stays there too, or not."""
+    for gone in (0.0, 16.0):
+        stays = concluded(within_band(0.0), within_band(gone, gone, gone=gone))
+        assert (stays.failed, stays.settles, stays.left) == (False, True, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("width", "travel", "gone", "size"),
+    [
+        (4.0, 0.0, 0.0, 4.0),
+        (4.0, 6.0, 0.0, 6.0),
+        (4.0, 6.0, 10.0, 10.0),
+        (4.0, 0.0, 1e6, 12.0),  # a plant that is left alone may run away as far as it likes
+    ],
+)
+def test_the_task_of_a_band_is_its_width_its_travel_or_what_doing_nothing_leaves(
+    width: float, travel: float, gone: float, size: float
+) -> None:
+    nothing = within_band(gone, 2.0 * size, gone=gone)
+    assert concluded(within_band(0.0, width=width, travel=travel), nothing).tasks == {"y": size}
+    for share, failed in ((0.49, False), (0.51, True)):
+        far = concluded(within_band(share * size, width=width, travel=travel), nothing)
+        assert far.failed is failed
+        assert not failed or far.failure == "y ends 51 % of its task away from its band"
+
+
+@pytest.mark.parametrize(("end", "settles"), [(0.19, True), (0.21, False)])
+def test_a_run_settles_that_leaves_five_percent_of_its_band(end: float, settles: bool) -> None:
+    run = concluded(within_band(end, end), within_band(16.0, 16.0, gone=16.0))
+    assert (run.failed, run.settles) == (False, settles)
+    assert none_settles([run]) == (
+        "" if settles else "No controller settles within 5 %: the best leaves 5.2 % of a band"
+    )
+
+
+def test_who_leaves_its_band_more_than_doing_nothing_fails() -> None:
+    run = concluded(within_band(0.1, 0.6), within_band(0.0, 0.1, gone=0.5))
+    assert (
+        run.failure == "y is worse than doing nothing: mean error 15 % of the task, doing nothing 2.5 % of it"
+    )
+
+
+def test_while_a_declared_disturbance_moves_nothing_is_to_settle() -> None:
+    """What doing nothing lets go by is the task, and half of it a failure, whether it settles or not."""
+    moving = EndWindow(20, 0.4, 0.4, settling=True, disturbed=True)
+    follows = Tracking("y", 0.0, math.inf, 1.0, 1.0, 0.0, 0.4, ends=(moving,))
+    nothing = replace(follows, deviation=2.0, mean_abs_error=1.5)
+    run = concluded(follows, nothing)
+    assert (run.failed, run.settles, run.tasks) == (False, None, {"y": 2.0})
+    assert math.isnan(run.left)
+    far = replace(follows, ends=(replace(moving, error=0.0, magnitude=1.1),))
+    assert concluded(far, nothing).failure == "y ends 55 % of its task away from its reference"
+
+
+def test_declared_disturbances_make_their_scatter_unavoidable() -> None:
+    for is_disturbed, settles in ((False, False), (True, True)):
+        noisy = replace(within_band(0.4, 0.4), scatter=0.5, is_disturbed=is_disturbed)
+        assert concluded(noisy).settles is settles

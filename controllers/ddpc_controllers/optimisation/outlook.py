@@ -1,0 +1,243 @@
+"""What a sample says of the time ahead besides the reference, as parameters of the tracking problem.
+
+Known disturbances, the edges of bands, limits that move and prices change from sample to sample. All of them
+are parameters p of the problem that is condensed once: right-hand sides and linear terms, so that nothing is
+factorised anew. Row i of the horizon belongs to the input u_i, held over [t_k+i, t_k+i+1): it meets the
+disturbance, the limits and the price of that interval. Predicted outputs meet band, limits and price of their
+own time, t_k+i or t_k+i+1, whichever the method's first one is.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, sample_by_sample
+from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
+
+D, BAND, INPUT_LIMITS, OUTPUT_LIMITS, PRICE = "d", "band", "u_limits", "y_limits", "price"
+
+_ENDLESS = 1e9
+"""Stands for a band without an edge on one side, in parts of the output's scale."""
+
+
+@dataclass(kw_only=True)
+class Foresight:
+    """What a predictive method does with forecasts and prices."""
+
+    use_forecast: bool = setting(
+        True, doc="predict with the forecasts of known disturbances; otherwise what is measured now is held"
+    )
+    price_weight: float = setting(
+        1.0, low=0.0, doc="cost of a unit of money paid over the horizon, beside the squared errors"
+    )
+
+
+class Paid(NamedTuple):
+    """What is paid for over the horizon.
+
+    Parameters
+    ----------
+    price : int
+        Column of the prices.
+    signal : {"u", "y"}
+        Whether it is an input or a predicted output.
+    number : int
+        Number of the input or output.
+    amount : float
+        What one unit of it, held over one sampling time, comes to, in units of the cost per unit of money.
+    """
+
+    price: int
+    signal: str
+    number: int
+    amount: float
+
+
+class _Sides:
+    """Which limits of some signals move: pairs of signal and side, 0 the lower and 1 the upper."""
+
+    def __init__(self, names: list[str], moving: tuple[str, ...], low: FloatArray, high: FloatArray) -> None:
+        sides = [
+            (number, side)
+            for number, name in enumerate(names)
+            for side, limit in enumerate((low, high))
+            if name in moving and np.isfinite(limit[number])
+        ]
+        self.signals, self.sides = np.array(sides, dtype=np.intp).reshape(-1, 2).T
+        self._width = len(names)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    def of_sample(self, limits: FloatArray) -> FloatArray:
+        """Return the limits that move, shape (rows, number), of all of them, shape (rows, signals, 2)."""
+        return np.asarray(limits[:, self.signals, self.sides])
+
+    def chosen(self, side: int) -> FloatArray:
+        """Return the block, shape (signals, number), that has the moving limits of one side in its rows."""
+        block = np.zeros((self._width, len(self)))
+        numbers = np.flatnonzero(self.sides == side)
+        block[self.signals[numbers], numbers] = 1.0
+        return block
+
+    def standing(self, side: int, limits: FloatArray, samples: int) -> FloatArray:
+        """Return the limits of one side over samples, as a column: zero those that move, or are none."""
+        standing = np.where(np.isfinite(limits), limits, 0.0)
+        standing[self.signals[self.sides == side]] = 0.0
+        return np.tile(standing, samples)[:, np.newaxis]
+
+
+class Outlook:
+    """What a method knows of the time ahead: the parameters, and which parts of the problem they bring.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop of the method's signals; its outputs are those that are predicted.
+    settings : Foresight
+        What the method does with forecasts and prices.
+    horizon : int
+        Prediction horizon N.
+    past : int
+        How many samples of the disturbances before this one the prediction rests on.
+    first : {0, 1}
+        How many samples from now the first predicted output is.
+    controlled : int, optional
+        How many of the outputs are controlled; the others, which come last, are predicted only. Default: all.
+
+    Attributes
+    ----------
+    windows : dict of str to (int, int)
+        Length and width of the parameters' windows; empty where there are no such things. ``"d"`` holds the
+        disturbances d_k-past ... d_k+N-1.
+    followed : array of int
+        The outputs that follow a reference.
+    bands : array of int
+        Those that are wanted within a band.
+    paid : list of Paid
+        What is paid for.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        settings: Foresight,
+        horizon: int,
+        *,
+        past: int = 0,
+        first: int = 1,
+        controlled: int | None = None,
+    ) -> None:
+        inputs, outputs = ([v.name for v in variables] for variables in (loop.inputs, loop.outputs))
+        bounds, self.horizon = loop.bounds, horizon
+        self.controlled = len(outputs) if controlled is None else controlled
+        self._past, self._first, self._uses_forecast = past, first, settings.use_forecast
+        in_band = np.isin(outputs[: self.controlled], loop.bands)
+        self.followed, self.bands = np.flatnonzero(~in_band), np.flatnonzero(in_band)
+        self._u = _Sides(inputs, loop.moving_limits, bounds.u_min, bounds.u_max)
+        self._y = _Sides(outputs, loop.moving_limits, bounds.y_min, bounds.y_max)
+        self.paid = _paid(loop, inputs, outputs, settings.price_weight)
+        self.disturbances = len(loop.disturbances)
+        sizes = {
+            D: (past + horizon, self.disturbances),
+            BAND: (horizon, 2 * len(self.bands)),
+            INPUT_LIMITS: (horizon, len(self._u)),
+            OUTPUT_LIMITS: (horizon, len(self._y)),
+            PRICE: (horizon + 1, len(loop.charges) if self.paid else 0),
+        }
+        self.windows = {name: size for name, size in sizes.items() if size[1]}
+
+    @property
+    def moves_inputs(self) -> bool:
+        """Whether limits of inputs move."""
+        return INPUT_LIMITS in self.windows
+
+    def at_rest(self) -> dict[str, Blocks]:
+        """Return the rows of disturbances that stay what they are at the end of the horizon."""
+        if D not in self.windows:
+            return {}
+        length, width = self.windows[D]
+        at_end = np.zeros((length, length))
+        at_end[:, -1] = 1.0
+        return {D: {D: sample_by_sample(at_end, np.eye(width))}}
+
+    def begin(self, parameters: ParameterVector, past: FloatArray) -> None:
+        """Fill the disturbances before this sample, shape (past, n_d), or (n_d,) as if always so."""
+        if D in self.windows:
+            parameters.window(D)[: self._past] = past
+
+    def fill(self, parameters: ParameterVector, sample: Sample) -> None:
+        """Fill the parameters for this sample."""
+        windows, first, n = self.windows, self._first, self.horizon
+        if D in windows:
+            d = parameters.window(D)
+            d[self._past] = sample.disturbance
+            d[self._past + 1 :] = sample.forecast[: n - 1] if self._uses_forecast else sample.disturbance
+        if BAND in windows:
+            band = (
+                sample.band[:n] if first else np.vstack([sample.band_now[np.newaxis], sample.band[: n - 1]])
+            )
+            edges = band[:, self.bands].reshape(n, -1)
+            parameters.fill(BAND, np.minimum(np.maximum(edges, -_ENDLESS), _ENDLESS))
+        if INPUT_LIMITS in windows:
+            parameters.fill(INPUT_LIMITS, self._u.of_sample(sample.input_limits[:n]))
+        if OUTPUT_LIMITS in windows:
+            limits = self._y.of_sample(sample.output_limits[:n])
+            parameters.fill(OUTPUT_LIMITS, limits if first else np.vstack([limits[:1], limits[:-1]]))
+        if PRICE in windows:
+            parameters.fill(PRICE, sample.price[: n + 1])
+
+    def advance(self, parameters: ParameterVector) -> None:
+        """Go on to the next sample: the disturbances of this one are of the past."""
+        if self._past and D in self.windows:
+            d = parameters.window(D)
+            d[: self._past] = d[1 : self._past + 1]
+
+    def moving(self, signal: str, bounds: Bounds) -> tuple[Blocks, Blocks] | None:
+        """Return the limits of ``"u"``, ``"y"`` over the horizon, or of ``"u_s"``, ``"y_s"`` at its end.
+
+        None where they do not move.
+        """
+        sides, name = (self._u, INPUT_LIMITS) if signal[0] == "u" else (self._y, OUTPUT_LIMITS)
+        if name not in self.windows:
+            return None
+        n = self.horizon
+        rows = np.eye(n)[-1:] if signal.endswith("_s") else np.eye(n)
+        low, high = (bounds.u_min, bounds.u_max) if signal[0] == "u" else (bounds.y_min, bounds.y_max)
+        lower, upper = (
+            {
+                name: sample_by_sample(rows, sides.chosen(side)),
+                "one": sides.standing(side, limits, len(rows)),
+            }
+            for side, limits in enumerate((low, high))
+        )
+        return lower, upper
+
+    def edges(self, side: int) -> FloatArray:
+        """Return the block of the parameter ``"band"`` that has the lower (0) or the upper edges (1)."""
+        pick = np.zeros((1, 2))
+        pick[0, side] = 1.0
+        return sample_by_sample(np.eye(self.horizon * len(self.bands)), pick)
+
+    def amounts(self, signal: str, width: int) -> FloatArray:
+        """Return what prices, (N + 1) n_prices, are multiplied by of a signal over the horizon, N width."""
+        n, prices = self.horizon, self.windows[PRICE][1]
+        late = self._first if signal == "y" else 0
+        block = np.zeros((n + 1, prices, n, width))
+        for paid in self.paid:
+            if paid.signal == signal:
+                block[np.arange(n) + late, paid.price, np.arange(n), paid.number] += paid.amount
+        return block.reshape((n + 1) * prices, n * width)
+
+
+def _paid(loop: Loop, inputs: list[str], outputs: list[str], weight: float) -> list[Paid]:
+    """Return what is paid for of inputs and predicted outputs."""
+    paid = []
+    for number, charge in enumerate(loop.charges if weight else ()):
+        amount = weight * charge.rate * loop.sampling_time
+        if charge.signal in inputs:
+            paid.append(Paid(number, "u", inputs.index(charge.signal), amount))
+        elif charge.signal in outputs:
+            paid.append(Paid(number, "y", outputs.index(charge.signal), amount))
+    return paid
