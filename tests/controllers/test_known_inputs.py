@@ -667,7 +667,7 @@ def held_levels(amplitude: float) -> Callable[[np.random.Generator, int], FloatA
 
 
 class Case(NamedTuple):
-    """A plant about its operating point: signals, sampling, excitation, noise, PID's settings, disturbances."""
+    """A plant about its operating point, how it is recorded, PID's settings, and what is left at most."""
 
     model: PlantModel
     inputs: int
