@@ -200,7 +200,8 @@ class Cascade(Wrapper):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        inner, outer = self.inner.knowledge(self._inner_loop(loop)), self.outer.knowledge(self._outer_loop)
+        inner = self._inner.controller.knowledge(self._inner_loop(loop))
+        outer = self._outer.controller.knowledge(self._outer_loop)
         return joined_prior_info({"inner": inner, "outer": outer})
 
     @property

@@ -128,9 +128,9 @@ class Decentralised(Wrapper):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        parts = zip(self.groups, self._shares, strict=True)
+        parts = zip(self.groups, self._running, self._shares, strict=True)
         return joined_prior_info(
-            {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}
+            {group.name: inner.controller.knowledge(_part_of(loop, share)) for group, inner, share in parts}
         )
 
     @property
