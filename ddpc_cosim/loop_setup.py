@@ -172,6 +172,8 @@ class LoopSetup:
         As in :func:`ddpc_cosim.cosimulate`.
     open_loop : bool
         Nothing is controlled: inputs without a signal rest at their start values.
+    is_free : bool
+        Nothing is controlled, and inputs are left to the plant.
     disturbances, recorded_disturbances, prices, forecast_horizon
         As in :func:`ddpc_cosim.cosimulate`.
 
@@ -195,6 +197,7 @@ class LoopSetup:
         preview: int | None,
         *,
         open_loop: bool = False,
+        is_free: bool = False,
         disturbances: Mapping[str, KnownDisturbance] | None = None,
         recorded_disturbances: Mapping[str, Reference] | None = None,
         prices: Mapping[str, Price] | None = None,
@@ -207,7 +210,7 @@ class LoopSetup:
         if missing and not open_loop:
             raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
         available = names(plant.outputs)
-        controlled = () if open_loop else _chosen("outputs", outputs) or available
+        controlled = () if open_loop or is_free else _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
         self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview

@@ -143,6 +143,7 @@ def cosimulate(
         Time between samples and simulated time [s]; the duration is an integer multiple of the sampling time.
     reference : Reference, Band, or mapping of str to these
         Reference of the controlled output, or of each by name, in their units; a band in place of a line.
+        None at all, ``{}``, under :class:`PlantControl`: outputs are measured only.
     excitation : Excitation, optional
         The experiment to record before the loop is closed.
     stabiliser : Controller, optional
@@ -212,6 +213,7 @@ def cosimulate(
         seed,
         preview,
         open_loop=controller is None,
+        is_free=isinstance(controller, PlantControl) and reference == {},
         disturbances=disturbances,
         recorded_disturbances=recorded_disturbances,
         prices=prices,

@@ -37,8 +37,8 @@ from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HE
 from ddpc_controllers.optimisation.outlook import Foresight
 from ddpc_cosim import OK, Action, ConfigError, FloatArray, Integer, Log, Loop, Sample, Weight, setting
 
-_TOLERANCE_OF_MONEY = 1e-9
-"""Of IPOPT where there are prices, whose slopes can be small beside the squares."""
+_PRECISE = {"tol": 1e-11, "compl_inf_tol": 1e-11, "acceptable_tol": 1e-8, "bound_relax_factor": 0.0}
+"""Of IPOPT where slopes can be small beside the squares: of prices, and of outputs just outside a band."""
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
 _ENDLESS = 1e18
@@ -200,9 +200,10 @@ class NMPC(Foresight, Exportable):
                 "print_level": 0,
                 "sb": "yes",
                 "max_iter": self.iterations,
-                "tol": _TOLERANCE_OF_MONEY if self._charged else 1e-6,
+                "tol": 1e-6,
                 "warm_start_init_point": "yes",
                 "mu_init": 1e-3,
+                **(_PRECISE if self._charged or self._in_band or loop.moving_limits else {}),
             },
         }
         program = {

@@ -157,7 +157,7 @@ def test_mpc_finds_the_inputs_of_bounded_least_squares_with_the_disturbances(
         expected = plant.free(HORIZON) @ x + pushed @ d[k : k + HORIZON].ravel()
         wanted = np.sqrt(2.0) * (reference[k + 1 : k + 1 + HORIZON].ravel() - expected)
         target = np.append(wanted, np.zeros(HORIZON * m))
-        best = lsq_linear(system, target, (-limit, limit), method="bvls", tol=1e-15).x[:m]
+        best = lsq_linear(system, target, (-limit, limit), method="bvls", tol=1e-15, max_iter=500).x[:m]
         assert np.abs(best - u).max() <= 1e-8
         bounded += np.abs(u).max() >= limit
     assert 5 < bounded < 95
@@ -488,7 +488,9 @@ class Everything:
         fixed = high - low < 1e-12
         x_best = np.where(fixed, low, 0.0)
         rest = target - system @ x_best
-        free = lsq_linear(system[:, ~fixed], rest, (low[~fixed], high[~fixed]), method="bvls", tol=1e-15)
+        free = lsq_linear(
+            system[:, ~fixed], rest, (low[~fixed], high[~fixed]), method="bvls", tol=1e-15, max_iter=500
+        )
         x_best[~fixed] = free.x
         return np.asarray(x_best[:m])
 

@@ -154,6 +154,7 @@ class Outlook:
         }
         self.windows = {name: size for name, size in sizes.items() if size[1]}
         self.moves_inputs = INPUT_LIMITS in self.windows
+        self._passing = past > 0 and D in self.windows
         self._arrange(loop, settings.use_forecast, units)
 
     def at_rest(self) -> dict[str, Blocks]:
@@ -189,9 +190,9 @@ class Outlook:
 
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""
-        if self._past and D in self.windows:
+        if self._passing:
             d = parameters.window(D)
-            d[: self._past] = d[1 : self._past + 1]
+            d[:-1] = d[1:]
 
     def _arrange(
         self,
