@@ -196,6 +196,11 @@ class KnownDisturbance(Section):
         """Whether forecasts are made from what it will be."""
         return self.forecast is None and self.known in (*_SHARE, "perfect")
 
+    @property
+    def has_forecast(self) -> bool:
+        """Whether controllers are told of what will be more than what is measured now."""
+        return self.forecast is not None or self.is_foretold
+
     def forecasts(
         self,
         variable: Variable,

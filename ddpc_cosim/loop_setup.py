@@ -37,6 +37,8 @@ _NOTHING: FloatArray = np.empty(0)
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
 _FORECAST_STREAM, WARM_UP_STREAM = 10, 11
+_MOST_ISSUES = 5
+"""Moments of a run whose forecasts are kept with its samples."""
 
 
 def check_sampling_time(sampling_time: float) -> None:
@@ -170,6 +172,8 @@ class LoopSetup:
         As in :func:`ddpc_cosim.cosimulate`.
     open_loop : bool
         Nothing is controlled: inputs without a signal rest at their start values.
+    is_free : bool
+        Nothing is controlled, and inputs are left to the plant.
     disturbances, recorded_disturbances, prices, forecast_horizon
         As in :func:`ddpc_cosim.cosimulate`.
 
@@ -193,6 +197,7 @@ class LoopSetup:
         preview: int | None,
         *,
         open_loop: bool = False,
+        is_free: bool = False,
         disturbances: Mapping[str, KnownDisturbance] | None = None,
         recorded_disturbances: Mapping[str, Reference] | None = None,
         prices: Mapping[str, Price] | None = None,
@@ -205,7 +210,7 @@ class LoopSetup:
         if missing and not open_loop:
             raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
         available = names(plant.outputs)
-        controlled = () if open_loop else _chosen("outputs", outputs) or available
+        controlled = () if open_loop or is_free else _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
         self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
@@ -499,6 +504,11 @@ class LoopSetup:
         if isinstance(controller, PlantControl):
             applied = np.where(self._is_left, np.nan, applied)
         return np.array([applied[i] if is_input else all_outputs[i] for is_input, i in self._charged])
+
+    def issues(self, horizon: int, samples: int) -> range:
+        """Return at which samples of a run the forecast is kept: a few, so far apart that none overlap."""
+        longest = horizon if self._forecast_horizon is None else self._forecast_horizon
+        return range(0, samples, max(longest + 1, -(-samples // _MOST_ISSUES)))
 
     def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return prices and emissions per amount at times [s], both of shape (len(time), n_prices)."""

@@ -143,6 +143,7 @@ def cosimulate(
         Time between samples and simulated time [s]; the duration is an integer multiple of the sampling time.
     reference : Reference, Band, or mapping of str to these
         Reference of the controlled output, or of each by name, in their units; a band in place of a line.
+        None at all, ``{}``, under :class:`PlantControl`: outputs are measured only.
     excitation : Excitation, optional
         The experiment to record before the loop is closed.
     stabiliser : Controller, optional
@@ -212,6 +213,7 @@ def cosimulate(
         seed,
         preview,
         open_loop=controller is None,
+        is_free=isinstance(controller, PlantControl) and reference == {},
         disturbances=disturbances,
         recorded_disturbances=recorded_disturbances,
         prices=prices,
@@ -569,6 +571,7 @@ class _Rows:
             len(time), *columns, changed_inputs=len(setup.changed_inputs), more=widths
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
+        self._forecast = self.store.more.get("forecast")
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
@@ -585,6 +588,8 @@ class _Rows:
         }
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
+        if self._forecast is not None:
+            self._forecast[:] = np.nan
 
     @property
     def count(self) -> int:
@@ -620,6 +625,8 @@ class _Rows:
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
         sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, disturbance)
+        if self._forecast is not None:
+            self._keep_forecast(k, sample.forecast)
         decision = ask_controller(controller, sample, store.u.shape[1]).with_status(measured.status)
         held = clip_inputs(decision, outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
@@ -629,6 +636,13 @@ class _Rows:
         u = held.u if self._seen is not None else setup.commanded(controller, held.u)
         store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
+
+    def _keep_forecast(self, k: int, expected: FloatArray) -> None:
+        """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
+        assert self._forecast is not None
+        if k in self._setup.issues(len(expected), len(self.time)):
+            rows = self._forecast[k + 1 : k + 1 + len(expected)]
+            rows[:] = expected[: len(rows)]
 
     def recording(self) -> Recording:
         """Return the rows as a recording, of all disturbances."""

@@ -151,15 +151,15 @@ def headline(keys: Iterable[str], ranking: Ranking | None = None) -> tuple[str, 
         Those of the runs.
     ranking : {"error", "money", "pareto"}, optional
         By the study's own cost if it has one, else mean errors; by money; or by money and discomfort, both;
-        default: the last where there are prices, else the first.
+        default: the last where there are prices and no cost, else the first.
     """
     keys = [*keys]
     by_name = {
         name: [key for key in keys if split_key(key)[0] == name]
         for name in ("cost", "mean_abs_error", "money")
     }
-    money = by_name["money"] if ranking != "error" else []
-    if money:
+    money = by_name["money"]
+    if money and (ranking in ("money", "pareto") or (ranking is None and not by_name["cost"])):
         return (*money, *(() if ranking == "money" else discomfort(keys)))
     return tuple(by_name["cost"] or by_name["mean_abs_error"])
 

@@ -31,8 +31,10 @@ def table_widths(
     """Return how many columns the tables of a run have besides those of every run, by name."""
     bands = any(isinstance(signal, Band) for signal in wanted.values())
     moving = any(isinstance(limit, Reference) for pair in limits.values() for limit in pair)
+    known = sum(disturbance.is_known for disturbance in disturbances.values())
     widths = {
-        "d": sum(disturbance.is_known for disturbance in disturbances.values()),
+        "d": known,
+        "forecast": known * any(disturbance.has_forecast for disturbance in disturbances.values()),
         "band": 2 * outputs * bands,
         "input_limits": 2 * inputs * moving,
         "output_limits": 2 * outputs * moving,

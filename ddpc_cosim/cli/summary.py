@@ -16,6 +16,7 @@ from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    knowing_clause,
     lead_clause,
     ranks_differ_clause,
     too_few_seeds_clause,
@@ -273,6 +274,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
     if findings.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
         names = {row.cases[0].controller: _in_a_sentence(row.name) for row in rows if row.cases}
         scenarios = {case.scenario: _scenario_label(results, case.scenario) for case in results.cases}
+        if worth := knowing_clause(findings.knowing, names, scenarios):
+            lines.append(worth.striptags())
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)

@@ -13,6 +13,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     failed_runs,
     italic,
     join_words,
+    knowing_clause,
     lead_clause,
     not_counted_sentence,
     over_words,
@@ -57,7 +58,9 @@ def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings)
         offer.controller: _offer_words(offer, who, findings.leaders, counting)
         for offer in offers_of(results.study, results.cases, findings)
     }
+    worth = knowing_clause(findings.knowing, labels, scenarios)
     parts = [
+        sentence(worth) + "." if worth else "",
         sentence(clause) + _details(findings, who, offers) + ".",
         untested_sentence(findings),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."

@@ -383,3 +383,10 @@ def test_inspect_and_init_take_an_override_as_one_input(room: Path) -> None:
     assert "oveHeat_activate" not in proposal.study.plant.start
     # The gain of what is driven, and not of what the room's own control leaves of it.
     assert proposal.gains[0, 0] == pytest.approx(1.0 / LOSS, rel=0.05)
+
+
+def test_the_plants_own_control_needs_no_reference(room: Path) -> None:
+    with FMUPlant(room, inputs=["oveHeat_u"], outputs=["reaTZon_y"]) as plant:
+        trace = cosimulate(plant, PlantControl(), sampling_time=H, duration=SAMPLES * H, reference={})
+    assert trace.outputs == ()
+    np.testing.assert_allclose(trace.measured[:, 0], controlled_by_itself(trace.time), rtol=1e-6)

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.knowing import Knowing
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
@@ -201,6 +202,33 @@ def _fewest_failed(ranking: Standings, controllers: Labels) -> Markup:
     return Markup("no controller is without a failed run. Fewest failed: {} {} of {} {}").format(
         who, fewest[0].failed, runs, "run" if runs == 1 else "runs"
     )
+
+
+def knowing_clause(found: Knowing | None, controllers: Labels, scenarios: Labels) -> Markup:
+    """Say what knowing the disturbances is worth; empty where nothing tells."""
+    if found is None:
+        return Markup("")
+    what = join_words([metric_name(name) for name in dict.fromkeys(split_key(key)[0] for key in found.keys)])
+    parts = [f"{_percent(found.typical(scenario))} ({scenarios[scenario]})" for scenario in found.more]
+    first, count = found.gaining[0], len(found.gaining)
+    who = "the controller that gains" if count == 1 else f"the {count} controllers that gain, in their median"
+    text = Markup("knowing the disturbances leaves {}, {} of the {} that is there without ({})").format(
+        who, join_words(parts), what, scenarios[found.least]
+    )
+    if count > 1:
+        text += Markup("; {} gains most ({})").format(
+            italic(controllers[first.controller]), _percent(first.most)
+        )
+    if found.others:
+        text += Markup("; {} {} nothing").format(
+            some_of([italic(controllers[name]) for name in found.others]),
+            "gains" if len(found.others) == 1 else "gain",
+        )
+    return text
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.2g}\u00a0%"
 
 
 def elsewhere_sentence(findings: Findings, controllers: Labels) -> Markup:

@@ -150,6 +150,7 @@ def pendulum(**changes: Any) -> Problem:
         "relevant": {"absolute": 0.1, "percent": 2.0},
         "start": {"torque": 0.1},
         "nominal": {"torque": 3.5},
+        "switches": {"torque": ""},
         "display_units": {"angle": "rad"},
         "step_timeout": 20.0,
         "case_timeout": 100.0,
