@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim import CosimError, Drift, Ramp, Steps, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.plugins import load_plugin
@@ -462,13 +462,13 @@ def _signal(section: Any, own_unit: str) -> str:
     return f"{kind}{words or 'none'} (values in {unit or whose_unit})"
 
 
-_TIMES = {"times", "start_time", "from_time", "to_time", "period"}
+_TIMES = {"times", "start_time", "from_time", "to_time", "period", "hold"}
 """Keys of signals that are times."""
 
 
 def _entries_of(values: Mapping[str, Any]) -> str:
     """Write the values of a signal by their names, times of long runs as people say them."""
-    given = {key: value for key, value in values.items() if value != ""}
+    given = {key: value for key, value in values.items() if value != "" and (key, value) != ("period", 0.0)}
     return ", ".join(f"{key.replace('_', ' ')} {_entry_text(key, value)}" for key, value in given.items())
 
 
@@ -479,12 +479,14 @@ def _entry_text(key: str, value: Any) -> str:
         return given_time(value)
     if isinstance(value, Mapping) and "kind" in value:
         return _written_signal(value)
+    if key == "parts":
+        return "; ".join(map(_written_signal, value))
     return value_text(value)
 
 
 def _written_signal(table: Mapping[str, Any]) -> str:
     """Write a signal that stands within another table."""
-    return f"{table['kind']} ({_entries_of(_without(table, {'kind', 'unit'}))})"
+    return f"{table['kind']} ({_entries_of(_without(table, {'kind'}))})"
 
 
 @dataclass(frozen=True)
@@ -555,7 +557,8 @@ def _signal_effect(what: str, section: Any, own_unit: str, first: int = 0) -> Ef
     if isinstance(section, Ramp):
         values = f"{as_given(section.start)} → {as_given(section.stop)}"
         marks = (Mark(f"{what} {values}", section.start_time, section.stop_time),)
-    elif steps := [*zip(getattr(section, "times", ()), getattr(section, "values", ()), strict=False)]:
+    elif isinstance(section, Steps) and not section.period:
+        steps = [*zip(section.times, section.values, strict=True)]
         marks = tuple(Mark(f"{what} {as_given(value)}", time, time) for time, value in steps[first:])
     return Effect(f"{what}: {_signal(section, own_unit)}", marks)
 
