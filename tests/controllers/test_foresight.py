@@ -1,6 +1,7 @@
 """Disturbances with forecasts, bands, limits that move and prices in every predictive method from data."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -507,3 +508,35 @@ def test_a_band_may_have_one_edge() -> None:
     assert answers[0].status == "ok"
     assert answers[0].u == pytest.approx(answers[1].u, rel=1e-9)
     assert not np.allclose(answers[0].u, 0.0, atol=1e-3)
+
+
+def test_a_limit_that_moves_to_where_nothing_leads_gives_way_and_is_named() -> None:
+    loop = make(PLANTS["one input"], 160)
+    controller = started(SPC(**WELL_POSED), loop)
+    sample = sample_of(loop, 0, np.zeros(1), np.zeros(4), np.zeros(1), 4, np.random.default_rng(0))
+    limits = sample.output_limits.copy()
+    limits[:, 0, 1] = -5.0
+    copied = deepcopy(controller)
+    answer = controller.step(sample._replace(output_limits=limits, measured=sample.measured[:3]))
+    assert isinstance(answer, Action)
+    assert answer.status.startswith("no way to meet")
+    assert answer.status.endswith("y at its upper bound: output bounds softened")
+    low, high = sample.input_limits[0].T
+    assert (low <= answer.u).all()
+    assert (answer.u <= high).all()
+    again = copied.step(sample._replace(output_limits=limits, measured=sample.measured[:3]))
+    assert isinstance(again, Action)
+    assert np.array_equal(again.u, answer.u)
+
+
+@pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC, WKPC])
+def test_inputs_are_within_the_limits_of_now_exactly(method: type[Method]) -> None:
+    loop = replace(make(PLANTS["pendulum"], 160), bands=(), charges=())
+    controller = started(method(horizon=4), loop)
+    rng = np.random.default_rng(0)
+    for k in range(8):
+        y, measured = np.zeros(1), np.zeros(3)
+        sample = sample_of(loop, k, y, measured, np.zeros(1), 4, rng)._replace(reference=np.full((4, 1), 3.0))
+        answer = controller.step(sample)
+        assert isinstance(answer, Action)
+        assert answer.u == sample.input_limits[0, 0, 1]
