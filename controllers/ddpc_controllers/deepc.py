@@ -204,8 +204,8 @@ class BehavioralTracking(Foresight, ScaledSignals):
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the window and the law."""
         code.kernel("window")
-        steps, limits = self.apply_steps, self._limits.tables()
-        law = add_law(code, self._law, self._planned[1])
+        steps, limits, outlook = self.apply_steps, self._limits.tables(), self._outlook
+        law = add_law(code, self._law, self._planned[1], outlook.moves_inputs)
         window = code.constant(
             "Window",
             m=self._inputs,
@@ -219,12 +219,16 @@ class BehavioralTracking(Foresight, ScaledSignals):
             high=code.doubles(limits["high"]),
             rates=code.doubles(self._rates),
             law=law.pointer,
+            **outlook.members(code, self._limits),
         )
         forecast = np.zeros(steps * self._outputs)
         forecast[: self._outputs] = self._forecast[: self._outputs]
         rest = np.zeros(self._planned[1] + law.memory)
-        memory = code.memory([*self._parameters.array, self._resting, 0.0, *forecast, *rest])
-        return code.step(f"step_window(&{window}, {memory}, sample, u, told);")
+        parameters, sizes = self._parameters.array, self._parameters.sizes
+        limited = np.zeros(2 * steps * self._inputs * outlook.moves_inputs)
+        memory = code.memory([*parameters, *limited, self._resting, 0.0, *forecast, *rest])
+        look = outlook.in_c(code, f"{memory} + {sizes['u_ini'] + sizes['y_ini'] + sizes['r']}", steps)
+        return code.step(f"{look}step_window(&{window}, {memory}, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -450,11 +450,8 @@ class PID(Exportable):
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
         code.kernel("pid")
-        if self._forward or self._moving or self._taken_over:
-            what = "feeds disturbances forward" if self._forward else "takes over a running plant"
-            what = "has input limits that move" if self._moving else what
-            raise ConfigError(f"PID cannot be exported where it {what}: its code in C does not")
         p = len(self._pairs)
+        forwarded = self._forward.gains.shape[1:] if self._forward else (0, 0)
         pid = code.constant(
             "PID",
             p=p,
@@ -462,16 +459,38 @@ class PID(Exportable):
             inputs=code.sizes(self._pairs),
             **{name: code.doubles(values) for name, values in self._gains._asdict().items()},
             tracking=code.doubles(self._tracking),
-            low=code.doubles(self._low),
-            high=code.doubles(self._high),
+            **self._c_members(code),
             sampling_time=self._sampling_time,
             setpoint_share=self.setpoint_share,
             clamping=self.anti_windup == "clamping",
         )
         before = np.zeros(p) if self._y is None else self._y
         begun = [0.0, self._y is not None]
-        held = code.held("PIDMemory", begun, self._elapsed, self._u, before, np.zeros(p), self._derivative)
-        return code.step(f"{held}pid_step(&{pid}, &held, sample, u, told);")
+        further = np.zeros(2 * p * self._moving + (2 + forwarded[0]) * forwarded[1])
+        starts = begun, self._elapsed, self._u, before, np.zeros(p), [*self._derivative, *further]
+        *others, rate = [code.memory(start) for start in starts]
+        look = ""
+        if self._moving and code.ahead:
+            look += code.ahead.chosen(
+                code, lambda sample: sample.input_limits[0, self._pairs].T, f"{rate} + {p}"
+            )
+        if self._forward and code.ahead:
+            place = f"{rate} + {p + 2 * p * self._moving}"
+            look += code.ahead.chosen(code, lambda sample: sample.disturbance, place)
+        held = code.held("PIDMemory", *others, rate)
+        return code.step(f"{look}{held}pid_step(&{pid}, &held, sample, u, told);")
+
+    def _c_members(self, code: Code) -> dict[str, object]:
+        """Return the members of a structure in C about limits and feedforward."""
+        members: dict[str, object] = {"moves": True}
+        if not self._moving:
+            members = {"low": code.doubles(self._low), "high": code.doubles(self._high)}
+        if self._forward:
+            _, lags, n_d = self._forward.gains.shape
+            tables = {"poles": self._forward.poles, "forward": self._forward.gains}
+            members |= {"disturbances": n_d, "lags": lags}
+            members |= {name: code.doubles(table) for name, table in tables.items()}
+        return members
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the gains in use; with tuned ones the maximum sensitivity, infinite if unstable."""

@@ -209,7 +209,8 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             len(loop.measurements),
             self._parameters.window("z_ini").shape[1],
         )
-        law = add_law(code, self._law, m + p)
+        outlook = self._outlook
+        law = add_law(code, self._law, m + p, outlook.moves_inputs)
         measured, outputs = self._last.shared
         wkpc = code.constant(
             "Wkpc",
@@ -225,17 +226,20 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             measured=code.sizes(measured),
             outputs=code.sizes(outputs),
             law=law.pointer,
+            **outlook.members(code, self._limits),
         )
+        limited = np.zeros(2 * m * outlook.moves_inputs)
         parameters, first = (
-            code.memory(self._parameters.array),
+            code.memory([*self._parameters.array, *limited]),
             np.cumsum([0, *self._parameters.sizes.values()]),
         )
+        look = outlook.in_c(code, f"{parameters} + {first[4]}", 1)
         parts = [f"{parameters} + {place}" for place in first[:4]]
         of_now = [np.zeros(size) for size in (m + p, n, p, law.memory)]
         held = code.held(
             "WkpcMemory", *parts, [self._resting], self._states.newest_first, self._last.newest, *of_now
         )
-        return code.step(f"{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
+        return code.step(f"{look}{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -446,11 +446,3 @@ def test_a_dear_input_is_used_less_and_later() -> None:
     scaled = -0.1 * 0.8 * NOMINAL["u"] / (2.0 * WELL_POSED["input_weight"])
     assert u(0.0) == pytest.approx(0.0, abs=1e-12)
     assert u(1.0) == pytest.approx(scaled * NOMINAL["u"], rel=1e-9)
-
-
-def test_what_has_no_code_in_c_is_not_exported() -> None:
-    loop = make(PLANTS["one input"], 160)
-    controller = started(DeePC(**WELL_POSED), loop)
-    named = "disturbances and bands and moving limits and prices"
-    with pytest.raises(ConfigError, match=f"DeePC cannot be exported with {named}"):
-        controller.c_code(loop)

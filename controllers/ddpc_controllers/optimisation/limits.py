@@ -77,6 +77,8 @@ class InputLimits:
     ----------
     endless : bool
         Whether an input has none on a side.
+    near : array, shape (m,)
+        How far from a limit an input still is at it.
     """
 
     def __init__(
@@ -87,15 +89,15 @@ class InputLimits:
         self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
         span = np.zeros(len(u_min))
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
-        self._near = _AT_LIMIT * span
+        self.near = _AT_LIMIT * span
         self.move(np.tile(np.stack([u_min, u_max], axis=1), (steps, 1, 1)))
 
     def move(self, limits: FloatArray) -> None:
         """Take new limits, shape (steps, m, 2) or more of them, from this sample on."""
         low, high = self._bounds = limits[: self._steps, :, 0], limits[: self._steps, :, 1]
         self._low, self._high = low.ravel().tolist(), high.ravel().tolist()
-        self._near_low = (low + self._near).ravel().tolist()
-        self._near_high = (high - self._near).ravel().tolist()
+        self._near_low = (low + self.near).ravel().tolist()
+        self._near_high = (high - self.near).ravel().tolist()
 
     def reach(self, u: FloatArray) -> None:
         """Put inputs that are at a limit but for rounding exactly there, in place."""

@@ -12,12 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, sample_by_sample
 from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
 
 D, BAND, INPUT_LIMITS, OUTPUT_LIMITS, PRICE = "d", "band", "u_limits", "y_limits", "price"
 
-_ENDLESS = 1e9
+ENDLESS = 1e9
 """Stands for a band without an edge on one side, in parts of the output's scale."""
 
 
@@ -179,7 +181,7 @@ class Outlook:
                 sample.band[:n] if first else np.vstack([sample.band_now[np.newaxis], sample.band[: n - 1]])
             )
             edges = band[:, self.bands].reshape(n, -1)
-            parameters.fill(BAND, np.minimum(np.maximum(edges, -_ENDLESS), _ENDLESS))
+            parameters.fill(BAND, np.minimum(np.maximum(edges, -ENDLESS), ENDLESS))
         if INPUT_LIMITS in windows:
             parameters.fill(INPUT_LIMITS, self._u.of_sample(sample.input_limits[:n]))
         if OUTPUT_LIMITS in windows:
@@ -187,6 +189,39 @@ class Outlook:
             parameters.fill(OUTPUT_LIMITS, limits if first else np.vstack([limits[:1], limits[:-1]]))
         if PRICE in windows:
             parameters.fill(PRICE, sample.price[: n + 1])
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return sum(length * width for length, width in self.windows.values())
+
+    def members(self, code: Code, limits: InputLimits) -> dict[str, object]:
+        """Return the members of a structure in C that keeps the parameters after the references."""
+        members: dict[str, object] = {}
+        if self.windows:
+            members |= {"disturbances": self.disturbances, "ahead": self.size}
+        if self.moves_inputs:
+            members["near"] = code.doubles(limits.near)
+        return members
+
+    def in_c(self, code: Code, first: str, steps: int) -> str:
+        """Return statements in C that fill the parameters, and moving limits of so many samples after the 1.
+
+        ``first`` is the place of the first parameter; those of the past stay.
+        """
+        if not self.windows or code.ahead is None:
+            return ""
+        past = self._past * self.disturbances
+
+        def filled(sample: Sample) -> FloatArray:
+            parameters = ParameterVector(self.windows)
+            self.fill(parameters, sample)
+            return parameters.array[past:-1]
+
+        look = code.ahead.chosen(code, filled, f"{first} + {past}", ENDLESS)
+        if self.moves_inputs:
+            look += code.ahead.limits(code, steps, f"{first} + {self.size + 1}")
+        return look
 
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""
