@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Bounds, Charge, Sample
 from ddpc_cosim.disturbances import Forecasts, KnownDisturbance
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.prices import Price
 from ddpc_cosim.signals import Band, Reference, in_unit_of, values_at
@@ -30,8 +31,10 @@ def table_widths(
     """Return how many columns the tables of a run have besides those of every run, by name."""
     bands = any(isinstance(signal, Band) for signal in wanted.values())
     moving = any(isinstance(limit, Reference) for pair in limits.values() for limit in pair)
+    known = sum(disturbance.is_known for disturbance in disturbances.values())
     widths = {
-        "d": sum(disturbance.is_known for disturbance in disturbances.values()),
+        "d": known,
+        "forecast": known * any(disturbance.has_forecast for disturbance in disturbances.values()),
         "band": 2 * outputs * bands,
         "input_limits": 2 * inputs * moving,
         "output_limits": 2 * outputs * moving,
@@ -99,7 +102,7 @@ def _crossed(what: str, edges: FloatArray, time: FloatArray) -> list[str]:
         return []
     k = wrong[0]
     values = f"lower {edges[k, 0]:g} is above upper {edges[k, 1]:g}"
-    return [f"{what}: {values} at t = {time[k]:g} s; needed: lower <= upper at all times"]
+    return [f"{what}: {values} at t = {shown(time[k])}; needed: lower <= upper at all times"]
 
 
 class Limits(NamedTuple):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
 from ddpc_cosim.csv_files import write_table
+from ddpc_cosim.durations import shown
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
 from ddpc_cosim.tables import plain_table
@@ -98,6 +99,10 @@ class Trace:
         The known disturbances.
     d : array, shape (K, n_d)
         Them, as they were measured.
+    forecast : array, shape (K, n_d)
+        What the controller was told of them at up to five moments of the run: row k has what was expected of
+        sample k at the last of these, NaN beyond its horizon and at these moments themselves; empty where
+        there are no forecasts.
     bands : tuple of str
         The controlled outputs that are wanted within a band: their reference is its point nearest to them.
     band : array, shape (K, p, 2)
@@ -142,6 +147,7 @@ class Trace:
     warnings: tuple[str, ...] = ()
     disturbances: tuple[Variable, ...] = ()
     d: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    forecast: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     bands: tuple[str, ...] = ()
     band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
     moving_limits: tuple[str, ...] = ()
@@ -156,7 +162,7 @@ class Trace:
         return len(self.time)
 
     def __repr__(self) -> str:
-        samples = f"{len(self)} of {self.planned_samples} samples, {self.sampling_time:g} s apart"
+        samples = f"{len(self)} of {self.planned_samples} samples, {shown(self.sampling_time)} apart"
         signals = f"{' '.join(names(self.inputs))} -> {' '.join(names(self.outputs))}"
         return printable(f"Trace({self.outcome}, {samples}, {signals})")
 
@@ -239,9 +245,17 @@ class Trace:
 
     def _limits(self, variable: Variable, i: int, *, of_input: bool = False) -> Limits:
         """Return the limits of an input or output at the held samples, arrays where they move."""
+        limits = self._all_limits(variable, i, of_input=of_input)
+        if isinstance(limits, tuple):
+            return limits
+        return limits[: self.held, 0], limits[: self.held, 1]
+
+    def _all_limits(
+        self, variable: Variable, i: int, *, of_input: bool = False
+    ) -> tuple[float, float] | FloatArray:
+        """Return the limits of an input or output at all samples, an array of shape (K, 2) if they move."""
         if variable.name in self.moving_limits and self.held:
-            limits = (self.input_limits if of_input else self.output_limits)[: self.held, i]
-            return limits[:, 0], limits[:, 1]
+            return (self.input_limits if of_input else self.output_limits)[:, i]
         bounds = self.bounds
         ends = (bounds.u_min, bounds.u_max) if of_input else (bounds.y_min, bounds.y_max)
         return float(ends[0][i]), float(ends[1][i])
@@ -268,19 +282,29 @@ class Trace:
         )
 
     def plot(self) -> "altair.VConcatChart":
-        """Return the samples as a chart: outputs with references and limits, inputs below, in display units.
+        """Return the samples as a chart, in display units.
+
+        Outputs have references or shaded bands, and limits; below are inputs, disturbances and prices. Of
+        long runs time is in hours or days.
 
         It shows itself in a notebook; ``save`` writes it as a page, SVG or PNG.
         """
         from ddpc_cosim.plotting import Panel, time_chart
 
-        limits = self.bounds
-        panels = [
-            Panel(v, self.y[:, i], (limits.y_min[i], limits.y_max[i]), self.reference[:, i])
-            for i, v in enumerate(self.outputs)
-        ]
+        panels = []
+        for i, output in enumerate(self.outputs):
+            limits = self._all_limits(output, i)
+            if output.name in self.bands:
+                panels.append(Panel(output, self.y[:, i], limits, band=self.band[:, i]))
+            else:
+                panels.append(Panel(output, self.y[:, i], limits, self.reference[:, i]))
+        for i, variable in enumerate(self.inputs):
+            limits = self._all_limits(variable, i, of_input=True)
+            panels.append(Panel(variable, self.u[:, i], limits, held=True))
         panels += [
-            Panel(v, self.u[:, i], (limits.u_min[i], limits.u_max[i])) for i, v in enumerate(self.inputs)
+            Panel(variable, values, held=True)
+            for title, variable, values in self._further()
+            if title in ("disturbance", "price")
         ]
         return time_chart(self.time, panels, "" if self.completed else f"{self.outcome}: {self.reason}")
 
@@ -293,7 +317,8 @@ class Trace:
         taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from
         what a controller commanded, with ``applied``. What the controller said of its steps is ``info.NAME``.
         The edges of a band are prefixed with ``lower`` and ``upper``, limits that change with ``min`` and
-        ``max``, known disturbances as they were measured with ``disturbance``; of prices there are ``price``,
+        ``max``, known disturbances as they were measured with ``disturbance``, and what was expected of
+        them at a few moments with ``forecast``; of prices there are ``price``,
         ``emission`` and, of the signal that is paid for, ``charged``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
@@ -357,6 +382,8 @@ class Trace:
                     yield "max", variable, limits[:, i, 1]
         for i, variable in enumerate(self.disturbances):
             yield "disturbance", variable, self.d[:, i]
+            if self.forecast.size:
+                yield "forecast", variable, self.forecast[:, i]
         for i, (charge, variable) in enumerate(zip(self.charges, self._charged_variables, strict=True)):
             yield "price", Variable(charge.name, f"{charge.unit}/{charge.amount}"), self.price[:, i]
             yield "emission", Variable(charge.name, f"kg/{charge.amount}"), self.emission[:, i]

@@ -13,7 +13,7 @@ a price on what the least-squares prediction does not explain of it, the loop dr
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
@@ -36,7 +36,7 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
@@ -45,7 +45,7 @@ from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Probl
 from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
-from ddpc_controllers.scaling import ScaledSignals
+from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
     Action,
     Choice,
@@ -83,8 +83,11 @@ class BehavioralTracking(Foresight, ScaledSignals):
     A step evaluates the law, and calls none of them.
     """
 
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
+    _scales_ahead: ClassVar[ScaleAhead] = "none"
 
     initial_length: int = setting(
         3,
@@ -163,6 +166,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
             past=self.initial_length,
             first=int(self.use_current_output),
             controlled=self._method_loop.controlled,
+            units=(self._scales.u, self._scales.y, self._scales.d),
         )
         windows = {
             "u_ini": (self.initial_length, m),
@@ -188,17 +192,17 @@ class BehavioralTracking(Foresight, ScaledSignals):
             if missing:
                 return Action(parameters.window("u_ini")[-1].copy(), missing)
             parameters.fill("y_ini", y)
-            self._outlook.begin(parameters, sample.disturbance)
+            self._outlook.begin(parameters, sample.disturbance / self._scales.d)
             self._resting = False
         elif self.use_current_output:
             parameters.append("y_ini", self._known(y) if missing else y)
         u, fault = self._continue_plan(sample) if self._pending else self._plan(sample)
         parameters.append("u_ini", u)
-        self._outlook.advance(parameters)
         if not self.use_current_output:
             parameters.append("y_ini", self._known(y) if missing else y)
         if learner:
-            learner.learn(u=u, y=y, d=sample.disturbance)
+            learner.learn(u=u, y=y, d=self._outlook.now(parameters))
+        self._outlook.advance(parameters)
         return action(u, fault or missing, self._info)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
@@ -378,7 +382,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
         parameters.fill("r", sample.reference)
         self._outlook.fill(parameters, sample)
         if self._outlook.moves_inputs:
-            self._limits.move(sample.input_limits)
+            self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
         answer, fault = self._law.solve(parameters.array)
         if answer is None:
             self._info = NO_INFO

@@ -1,18 +1,20 @@
 """Inputs at rest: what doing nothing costs, a reference point of comparisons."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ddpc_controllers.checks import prior_info
+from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_controllers.export.code import Code, Exportable
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_cosim import FloatArray, Loop, Sample
 
 
 @dataclass(kw_only=True)
 class Idle(Exportable):
     """Inputs at rest, independent of measurements and references."""
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 
@@ -26,7 +28,7 @@ class Idle(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it uses no signals."""
-        return prior_info("nothing")
+        return without_forecast(prior_info("nothing"), loop)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the inputs at rest."""

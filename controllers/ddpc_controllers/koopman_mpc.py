@@ -18,7 +18,7 @@ is measured of them at the next sample: that can be the value of the interval be
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -43,7 +43,7 @@ from ddpc_controllers.data.hankel import (
     without_first,
 )
 from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_model, head_of, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -300,6 +300,8 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     Where what is lifted is not finite, the model's prediction replaces it; before the first finite sample the
     inputs stay at rest. Either is a status.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True

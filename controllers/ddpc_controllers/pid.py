@@ -24,7 +24,7 @@ What is known to disturb the plant can be fed forward, by an addition to v: see
 :mod:`ddpc_controllers.models.feedforward`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
@@ -33,7 +33,7 @@ import numpy as np
 
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
-from ddpc_controllers.export.code import Code, Exportable
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
 from ddpc_controllers.models.identification import fit_arx, never_moved
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
@@ -333,6 +333,8 @@ class PID(Exportable):
     measurement or a reference is not finite the inputs are held, which is a status.
     """
 
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+
     tuning: Tuning = setting(
         "manual", choices=("manual", "step-test"), doc="gains as given, or by SIMC from the recording"
     )
@@ -441,15 +443,16 @@ class PID(Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
         prior = "nothing" if self.tuning == "step-test" else "gains, as they are set"
-        if not loop.disturbances:
-            return prior_info(prior, loop.outputs)
-        if not self._forward:
-            return without_forecast(prior_info(prior, loop.outputs))
-        return without_forecast(prior_info(prior, loop.outputs, loop.disturbances))
+        fed_forward = loop.disturbances if self._forward else ()
+        return without_forecast(prior_info(prior, loop.outputs, fed_forward), loop)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
         code.kernel("pid")
+        if self._taken_over:
+            raise ConfigError(
+                "PID cannot be exported where it takes over a running plant: its code in C does not"
+            )
         p = len(self._pairs)
         forwarded = self._forward.gains.shape[1:] if self._forward else (0, 0)
         pid = code.constant(

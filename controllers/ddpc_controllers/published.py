@@ -126,7 +126,7 @@ class PublishedWKPC(WKPC):
         """Start from rest, but with the lifted memory of the recording."""
         self._resting = False
         self._parameters.fill("y_ini", sample.y)
-        self._outlook.begin(self._parameters, sample.disturbance)
+        self._outlook.begin(self._parameters, sample.disturbance / self._scales.d)
 
     def _append_state(self, state: FloatArray) -> None:
         """Do nothing: the lifted past is that of the memory."""

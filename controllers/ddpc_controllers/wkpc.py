@@ -1,7 +1,7 @@
 """Willems-Koopman predictive control, equations (10)-(12)."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal
@@ -26,7 +26,7 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
@@ -34,7 +34,7 @@ from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
-from ddpc_controllers.scaling import ScaledSignals
+from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
     Action,
     Factor,
@@ -63,8 +63,11 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
     :class:`~ddpc_controllers.data.online.OnlineSettings`.
     """
 
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
+    _scales_ahead: ClassVar[ScaleAhead] = "none"
     former_settings: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("zero_padding", "double_shift"), "that is what wkpc-published does"
     )
@@ -118,7 +121,10 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         self._inputs, self._outputs = m, p
         self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
         controlled = self._method_loop.controlled
-        self._outlook = Outlook(loop, self, self.horizon, past=past, first=0, controlled=controlled)
+        units = self._scales.u, self._scales.y, self._scales.d
+        self._outlook = Outlook(
+            loop, self, self.horizon, past=past, first=0, controlled=controlled, units=units
+        )
         windows = {
             "z_ini": (past, lifted.shape[1]),
             "u_ini": (past, m),
@@ -161,7 +167,7 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         parameters.fill("r", sample.reference)
         self._outlook.fill(parameters, sample)
         if self._outlook.moves_inputs:
-            self._limits.move(sample.input_limits)
+            self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
         u, forecast, fault = self._solve()
         if missing:
             y = fill_missing(y, forecast)
@@ -169,9 +175,9 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         parameters.append("u_ini", u)
         parameters.append("y_ini", y)
         self._append_state(self._last.take(measured))
-        self._outlook.advance(parameters)
         if self._learner:
-            self._learn(self._learner, bool(missing), u=u, y=y, d=sample.disturbance)
+            self._learn(self._learner, bool(missing), u=u, y=y, d=self._outlook.now(parameters))
+        self._outlook.advance(parameters)
         return action(u, fault or missing, self._info)
 
     def _solve(self) -> tuple[FloatArray, FloatArray, str]:
@@ -347,4 +353,4 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         self._resting = False
         self._parameters.fill("y_ini", sample.y)
         self._parameters.fill("z_ini", self._lift(self._states.fill(sample.measured)))
-        self._outlook.begin(self._parameters, sample.disturbance)
+        self._outlook.begin(self._parameters, sample.disturbance / self._scales.d)

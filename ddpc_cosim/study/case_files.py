@@ -566,6 +566,7 @@ def read_trace(folder: Path) -> Trace:
 
     bounds = Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()})
     disturbances = [_variable(variable) for variable in run.get("disturbances", ())]
+    foretold = [v for v in disturbances if f"forecast {v.header}" in columns]
     charges = [Charge(**{**charge, "rate": float(charge["rate"])}) for charge in run.get("charges", ())]
     reference = table(outputs, ("reference ",))
     bands, moving = run.get("bands", ()), run.get("moving_limits", ())
@@ -594,6 +595,7 @@ def read_trace(folder: Path) -> Trace:
     return Trace(
         disturbances=tuple(disturbances),
         d=table(disturbances, ("disturbance ",)) if disturbances else np.empty((0, 0)),
+        forecast=table(foretold, ("forecast ",)) if foretold else np.empty((0, 0)),
         bands=tuple(bands),
         band=pairs(outputs, bands, ("lower", "upper"), (reference, reference)),
         moving_limits=tuple(moving),

@@ -16,7 +16,7 @@ from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
 from ddpc_reports.figures.signal import Column, Signal, rounded
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
-from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
+from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
 
@@ -50,7 +50,7 @@ def simulation_page(simulation: Simulation) -> str:
     ended = [] if simulation.completed else [f"{simulation.outcome}: {simulation.reason}"]
     facts = {
         "Samples": f"{len(simulation.time)} of {simulation.planned_samples}",
-        "Sampling time": with_unit(as_given(simulation.sampling_time), "s"),
+        "Sampling time": given_time(simulation.sampling_time),
         "Outcome": simulation.outcome,
     }
     title = f"Simulation of {simulation.plant}"

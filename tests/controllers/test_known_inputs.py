@@ -8,7 +8,21 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from ddpc_controllers import LQR, MPC, PID, KoopmanMPC
+from ddpc_controllers import (
+    IPID,
+    LQR,
+    MFAC,
+    MFAPC,
+    MPC,
+    PID,
+    SPSA,
+    Cascade,
+    Decentralised,
+    Group,
+    Idle,
+    KoopmanMPC,
+    OffsetFree,
+)
 from ddpc_controllers.data.dictionaries import Identity
 from ddpc_controllers.models.identification import Identified, fit_arx
 from ddpc_controllers.models.linear import StateSpace
@@ -25,7 +39,7 @@ from ddpc_cosim import (
     Variable,
 )
 
-from .loops import SAMPLING_TIME, make_loop
+from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop
 
 HORIZON = 6
 
@@ -143,7 +157,7 @@ def test_mpc_finds_the_inputs_of_bounded_least_squares_with_the_disturbances(
         expected = plant.free(HORIZON) @ x + pushed @ d[k : k + HORIZON].ravel()
         wanted = np.sqrt(2.0) * (reference[k + 1 : k + 1 + HORIZON].ravel() - expected)
         target = np.append(wanted, np.zeros(HORIZON * m))
-        best = lsq_linear(system, target, (-limit, limit), method="bvls", tol=1e-15).x[:m]
+        best = lsq_linear(system, target, (-limit, limit), method="bvls", tol=1e-15, max_iter=500).x[:m]
         assert np.abs(best - u).max() <= 1e-8
         bounded += np.abs(u).max() >= limit
     assert 5 < bounded < 95
@@ -472,7 +486,9 @@ class Everything:
         fixed = high - low < 1e-12
         x_best = np.where(fixed, low, 0.0)
         rest = target - system @ x_best
-        free = lsq_linear(system[:, ~fixed], rest, (low[~fixed], high[~fixed]), method="bvls", tol=1e-15)
+        free = lsq_linear(
+            system[:, ~fixed], rest, (low[~fixed], high[~fixed]), method="bvls", tol=1e-15, max_iter=500
+        )
         x_best[~fixed] = free.x
         return np.asarray(x_best[:m])
 
@@ -504,3 +520,128 @@ def test_with_bands_prices_and_moving_limits_the_inputs_are_those_of_the_whole_p
         x = plant.a @ x + plant.b @ u + plant.e @ everything.d[k]
     assert 5 < bounded < 115
     assert outside > 5
+
+
+class Keeping(Controller):
+    """Remembers what it is told, and does nothing."""
+
+    def __init__(self, *, horizon: int = 1) -> None:
+        self.horizon, self.samples = horizon, list[Sample]()
+
+    def start(self, loop: Loop) -> None:
+        self.loop = loop
+
+    def step(self, sample: Sample) -> FloatArray:
+        self.samples.append(sample)
+        return np.zeros(len(self.loop.inputs))
+
+
+def test_a_group_is_told_its_part_of_everything() -> None:
+    plant = PLANTS[1][0]
+    everything = Everything(plant, 3.0)
+    whole = everything.sample(3, np.ones(3))
+    loop = replace(everything.loop(everything.record()), past=everything.record(20))
+    groups = [
+        Group(inputs=[f"u{i}"], outputs=[f"y{1 - i}"], controller=Keeping(horizon=2 + i)) for i in range(2)
+    ]
+    controller = Decentralised(groups=groups)
+    controller.start(loop)
+    controller.step(whole)
+    for i, inner in enumerate(controller._running):
+        kept, n = inner.controller, 2 + i
+        assert isinstance(kept, Keeping)
+        (seen,) = kept.samples
+        assert kept.loop.disturbances == loop.disturbances
+        assert (kept.loop.bands, kept.loop.moving_limits) == ((f"y{1 - i}",), (f"u{i}",))
+        assert kept.loop.past is not None
+        assert loop.past is not None
+        assert (kept.loop.past.u == loop.past.u[:, [i]]).all()
+        assert (kept.loop.past.y == loop.past.y[:, [1 - i]]).all()
+        assert (seen.disturbance == whole.disturbance).all()
+        assert (seen.forecast == whole.forecast[:n]).all()
+        assert (seen.band_now == whole.band_now[[1 - i]]).all()
+        assert (seen.band == whole.band[:n, [1 - i]]).all()
+        assert (seen.input_limits == whole.input_limits[: n + 1, [i]]).all()
+        assert (seen.output_limits == whole.output_limits[:n, [1 - i]]).all()
+        assert (seen.price == whole.price[: n + 1]).all()
+
+
+def test_a_cascade_tells_bands_outside_and_limits_and_prices_inside() -> None:
+    plant = PLANTS[1][0]
+    everything = Everything(plant, 3.0)
+    whole = everything.sample(4, np.ones(3))
+    loop = replace(everything.loop(), past=everything.record(20))
+    controller = Cascade(inner=Keeping(horizon=9), outer=Keeping(horizon=3), outer_period=2)
+    controller.start(loop)
+    controller.step(whole)
+    inner, outer = controller._inner.controller, controller._outer.controller
+    assert isinstance(inner, Keeping)
+    assert isinstance(outer, Keeping)
+    assert (inner.loop.bands, inner.loop.moving_limits, inner.loop.charges) == (
+        (),
+        ("u0", "u1"),
+        loop.charges,
+    )
+    assert (outer.loop.bands, outer.loop.moving_limits, outer.loop.charges) == (loop.bands, (), ())
+    assert (inner.loop.past, outer.loop.past) == (loop.past, None)
+    (within,), (slow,) = inner.samples, outer.samples
+    assert (slow.forecast == whole.forecast[1::2]).all()
+    assert (slow.band == whole.band[1::2]).all()
+    assert within.forecast.shape == (9, 2)
+    assert (within.forecast[6:] == whole.forecast[-1]).all()
+    assert within.price.shape == (10, 2)
+    assert (within.input_limits[:7] == whole.input_limits).all()
+    assert (within.band.size, slow.price.size) == (0, 0)
+
+
+def test_an_offset_free_controller_moves_the_band_with_the_reference() -> None:
+    everything = Everything(*PLANTS[0])
+    controller = OffsetFree(controller=Keeping(horizon=HORIZON))
+    controller.start(everything.loop())
+    for k in range(5):
+        controller.step(everything.sample(k, np.ones(3) * k))
+    kept = controller._inner.controller
+    assert isinstance(kept, Keeping)
+    shift = everything.band[4] - kept.samples[-1].band_now
+    assert np.abs(shift).max() > 1e-3
+    assert np.abs(shift - controller._disturbance[:, np.newaxis]).max() < 1e-12
+
+
+UNAWARE: list[Make] = [MFAC, MFAPC, IPID, lambda: SPSA(kp=5.0), lambda: PID(proportional=5.0), Idle]
+
+
+@pytest.mark.parametrize("make", UNAWARE)
+def test_who_uses_no_forecast_says_so_and_keeps_limits_that_move(make: Make) -> None:
+    plant = PLANTS[0][0]
+    loop = replace(disturbed_loop(plant, 5.0), moving_limits=("u0",))
+    controller = make()
+    controller.start(loop)
+    assert controller.knowledge(loop)["forecast"] == "not used"
+    assert "forecast" not in controller.knowledge(replace(loop, disturbances=()))
+    reference, n = np.full((60, 1), 20.0), controller.horizon
+    met = 0
+    for k in range(40):
+        high = 0.5 if k % 20 < 10 else 1.5
+        limits = np.tile([-5.0, high], (n + 1, 1, 1))
+        sample = sample_at(k, np.zeros(1), reference, np.zeros((60, 2)), n)._replace(input_limits=limits)
+        u = answer_of(controller, sample)
+        assert u[0] <= high
+        met += u[0] == high
+    assert isinstance(controller, Idle) or met > 3
+
+
+@pytest.mark.parametrize(
+    "make",
+    [MFAC, MFAPC, lambda: IPID(ki=0.5, kp=0.2), lambda: IPID(order=2, alpha=30.0, kp=2.0, ki=0.1, kd=2.0)],
+)
+def test_a_method_without_a_model_goes_on_where_it_ran(make: Make) -> None:
+    plant = LinearPlant(np.array([[0.8]]), np.array([[0.3]]), np.eye(1))
+    loop, switched = make_loop(None, np.full(1, 5.0), np.full(1, np.inf)), 40
+    reference = np.concatenate([np.zeros(3), np.repeat([0.5, -0.3, 0.4, 0.1], 20)])[:, np.newaxis]
+    run = close_loop(make(), loop, plant.advance, plant.c, reference, 60)
+    past = Recording(run.u[:switched], run.y[:switched], run.y[:switched], SAMPLING_TIME)
+    other = make()
+    other.start(replace(loop, past=past))
+    for k in range(switched, 60):
+        sample = run.samples[k]
+        assert np.abs(answer_of(other, sample) - run.u[k]).max() < 1e-9

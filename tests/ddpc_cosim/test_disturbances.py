@@ -340,6 +340,22 @@ def test_the_runs_own_course_in_an_experiment_is_an_error() -> None:
     run(Learner(), excitation=EXCITATION, recording_start=START - 30 * H)
 
 
+@pytest.mark.parametrize(("longest", "moments"), [(None, range(0, 61, 13)), (20, range(0, 61, 21))])
+def test_a_few_forecasts_are_kept_with_the_samples(longest: int | None, moments: range) -> None:
+    keeper = Keeper()
+    trace = run(keeper, disturbances=both("medium"), forecast_horizon=longest)
+    expected = np.full((STEPS + 1, 2), np.nan)
+    for k in moments:
+        rows = expected[k + 1 : k + 1 + HORIZON]
+        rows[:] = keeper.seen[k].forecast[: len(rows)]
+    np.testing.assert_array_equal(trace.forecast, expected)
+    np.testing.assert_array_equal(trace.columns()["forecast sun [W/m2]"], expected[:, 1])
+
+
+def test_without_forecasts_none_are_kept() -> None:
+    assert not [header for header in run(disturbances=both()).columns() if header.startswith("forecast")]
+
+
 # Files
 
 
@@ -354,10 +370,9 @@ def test_a_signal_from_a_file_has_to_reach_over_run_and_horizon(tmp_path: Path) 
     enough = int((STEPS + HORIZON) * H / 3600) + 1
     conditions = Conditions(inputs={"sun": Constant(0.0)})
     run(disturbances=write(enough), conditions=conditions)
-    needed = f"needed: from {START:g} s to {AHEAD[-1]:g} s"
     with pytest.raises(ConfigError, match=r"disturbances: outdoors: .*weather.csv tells it from") as caught:
         run(disturbances=write(enough - 2), conditions=conditions)
-    assert needed in str(caught.value)
+    assert "needed: from 2 d to 2 d 17 h" in str(caught.value)
 
 
 def forecast_file(path: Path, issued: FloatArray, lead: FloatArray) -> ForecastFile:

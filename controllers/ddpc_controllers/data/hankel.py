@@ -415,12 +415,6 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         raise DataError(
             f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
-    if recording.d.shape[1] != len(loop.disturbances):
-        names = ", ".join(variable.name for variable in loop.disturbances) or "none"
-        raise DataError(
-            f"{who}: the recording has {recording.d.shape[1]} known disturbance(s), the loop {names}: record "
-            'them, or set known = "unknown"'
-        )
     if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
         raise DataError(
             f"{who}: the recording was sampled every {recording.sampling_time:g} s, the loop runs every "

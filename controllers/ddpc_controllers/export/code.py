@@ -1,11 +1,11 @@
 """The C code of one controller, put together from constants, memory and step functions."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.resources import files as package_files
 from itertools import pairwise
 from math import inf, prod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,9 @@ _PACKAGE = __name__.partition(".")[0]
 
 class Exportable(Controller):
     """Base of the controllers that can be exported: each writes its step function; wrappers use others'."""
+
+    _known_in_c: ClassVar[Collection[str]] = ("disturbances", "bands", "prices")
+    """What a loop may have: a class that makes nothing of these need not know them; nor, here, of limits."""
 
     def c_code(self, loop: Loop) -> ControllerCode:
         """Return the started controller as C code.
@@ -79,7 +82,23 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
     if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
         # The base class's code does not know what a subclass changes.
         raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
+    there = {
+        "disturbances": loop.disturbances,
+        "bands": loop.bands,
+        "moving limits": loop.moving_limits,
+        "prices": loop.charges,
+    }
+    unknown = [name for name, things in there.items() if things and name not in controller._known_in_c]
+    if unknown:
+        named = " and ".join(unknown)
+        raise ConfigError(
+            f"{kind.__name__} cannot be exported with {named}: its code in C does not know them"
+        )
     return controller.c_step(code, loop)
+
+
+ALL_AHEAD = ("disturbances", "bands", "moving limits", "prices")
+"""What a sample may say besides measurements and references."""
 
 
 class Ahead(NamedTuple):

@@ -10,7 +10,7 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -19,7 +19,7 @@ import numpy as np
 from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.hankel import numerical_rank, resting_input, running_past
 from ddpc_controllers.data.quality import Judgement, Span, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
@@ -218,6 +218,8 @@ class ModelBased(ScaledSignals):
     A measurement that is not finite is replaced by the model's prediction; before the first finite one the
     inputs stay at rest. Either is a status.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 

@@ -26,7 +26,7 @@ from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.figures.time_charts import Mark
-from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
+from ddpc_reports.numbers import MISSING, as_given, computed, given_time, unit_symbol, with_unit
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:
@@ -320,10 +320,10 @@ def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     seconds = {"start time": loop.start_time, "longest time for a call": loop.step_timeout}
     samples = f"{loop.steps} sample" if loop.steps == 1 else f"{loop.steps} samples"
     return [
-        ("sampling time", with_unit(as_given(loop.sampling_time), "s")),
-        ("duration", f"{with_unit(as_given(loop.duration), 's')}, {samples}"),
+        ("sampling time", given_time(loop.sampling_time)),
+        ("duration", f"{given_time(loop.duration)}, {samples}"),
         ("start", starts.get(loop.start, loop.start)),
-        *((name, with_unit(as_given(value), "s")) for name, value in seconds.items()),
+        *((name, given_time(value)) for name, value in seconds.items()),
         *((f"loop: {name}", text) for name, text in _others(loop, said)),
     ]
 
@@ -470,7 +470,7 @@ def _events(section: ScenarioSection) -> Iterator[Effect]:
         )
         before |= after
     for event in section.events:
-        text = f"at {as_given(event.time)} s: {mapping_text(event.parameters)}"
+        text = f"at {given_time(event.time)}: {mapping_text(event.parameters)}"
         yield Effect(text, (Mark(briefly[id(event)], event.time, event.time),))
 
 
@@ -479,9 +479,9 @@ def _recording_text(changes: RecordingChanges) -> str:
 
 
 def _drift_effect(drift: Drift) -> Effect:
-    first, last = as_given(drift.start_time), as_given(drift.stop_time)
+    first, last = given_time(drift.start_time), given_time(drift.stop_time)
     old, new, name = as_given(drift.start), as_given(drift.stop), _plain(drift.parameter)
-    text = f"{name} from {old} to {new} between {first} s and {last} s"
+    text = f"{name} from {old} to {new} between {first} and {last}"
     return Effect(text, (Mark(f"{name} {old} → {new}", drift.start_time, drift.stop_time),))
 
 
