@@ -69,13 +69,16 @@ from .signals import (
     GaussianNoise as GaussianNoise,
     Interpolated as Interpolated,
     ParameterChange as ParameterChange,
+    Product as Product,
     Ramp as Ramp,
+    RandomLevels as RandomLevels,
     RecordedSignal as RecordedSignal,
     Reference as Reference,
     Signal as Signal,
     SignalFromFile as SignalFromFile,
     Sine as Sine,
     Steps as Steps,
+    Sum as Sum,
     WhiteNoise as WhiteNoise,
 )
 from .simulation import Simulation as Simulation, simulate as simulate

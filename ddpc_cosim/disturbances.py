@@ -20,9 +20,10 @@ import numpy as np
 
 from ddpc_cosim.codec import Section, Size
 from ddpc_cosim.csv_files import Column, CSVFile, read_table
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.settings import setting
-from ddpc_cosim.signals import InputSignal, Reference
+from ddpc_cosim.signals import Constant, InputSignal, Reference
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.units import parse_unit
 
@@ -239,6 +240,11 @@ class KnownDisturbance(Section):
         return _ForetoldByHour(truth, table, times, _SUN_WITHIN if kind == "sun" else None)
 
 
+def is_foretelling(signal: Reference) -> bool:
+    """Whether a signal in an experiment tells what it is in the run: it is neither random nor constant."""
+    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
+
+
 def quantity(unit: str) -> Literal["temperature", "sun", "other"]:
     """Return whether a unit is that of a temperature or of irradiance: their forecasts have other errors."""
     try:
@@ -300,7 +306,9 @@ class _Issued(Forecasts):
         """Return what is wrong with them for a run whose controllers look so many samples ahead."""
         times, early = self._times, _ROUNDED * self._times.step
         if (first := self._issued[0]) > times.start + early:
-            return f"the first forecast is issued at t = {first:g} s, the run begins at {times.start:g} s"
+            return (
+                f"the first forecast is issued at t = {shown(first)}, the run begins at {shown(times.start)}"
+            )
         for k in range(times.samples):
             now = times.start + k * times.step
             row = self._latest(now)
@@ -308,8 +316,8 @@ class _Issued(Forecasts):
             if until < now + samples * times.step - early:
                 issued, needed = self._issued[row], now + samples * times.step
                 return (
-                    f"the forecast issued at t = {issued:g} s ends at t = {until:g} s; needed at "
-                    f"t = {now:g} s: {samples} samples ahead, up to t = {needed:g} s"
+                    f"the forecast issued at t = {shown(issued)} ends at t = {shown(until)}; needed at "
+                    f"t = {shown(now)}: {samples} samples ahead, up to t = {shown(needed)}"
                 )
         return ""
 

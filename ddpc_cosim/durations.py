@@ -113,6 +113,11 @@ def in_words(seconds: float) -> str:
     return " ".join(parts)
 
 
+def shown(seconds: float) -> str:
+    """Return a computed time [s] as :func:`in_words` does, without what rounding leaves of it."""
+    return in_words(float(f"{seconds:.9g}"))
+
+
 def about(seconds: float) -> str:
     """Return a time [s] roughly: ``9.6 s``, ``45 s``, ``12 min``, ``3.4 h``, ``14 d``."""
     if seconds < 90:

@@ -11,7 +11,8 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
@@ -113,7 +114,7 @@ def late_error(time: float, end: float) -> str:
     if time < end:
         return ""
     advice = "choose an earlier time or a longer duration"
-    return f"at t = {time:g} s it would not happen: the run ends at t = {end:g} s; {advice}"
+    return f"at t = {shown(time)} it would not happen: the run ends at t = {shown(end)}; {advice}"
 
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
@@ -171,6 +172,8 @@ class LoopSetup:
         As in :func:`ddpc_cosim.cosimulate`.
     open_loop : bool
         Nothing is controlled: inputs without a signal rest at their start values.
+    is_free : bool
+        Nothing is controlled, and inputs are left to the plant.
     disturbances, recorded_disturbances, prices, forecast_horizon
         As in :func:`ddpc_cosim.cosimulate`.
 
@@ -194,6 +197,7 @@ class LoopSetup:
         preview: int | None,
         *,
         open_loop: bool = False,
+        is_free: bool = False,
         disturbances: Mapping[str, KnownDisturbance] | None = None,
         recorded_disturbances: Mapping[str, Reference] | None = None,
         prices: Mapping[str, Price] | None = None,
@@ -206,7 +210,7 @@ class LoopSetup:
         if missing and not open_loop:
             raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
         available = names(plant.outputs)
-        controlled = () if open_loop else _chosen("outputs", outputs) or available
+        controlled = () if open_loop or is_free else _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
         self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
@@ -228,7 +232,8 @@ class LoopSetup:
             for name, switch in plant.switches.items()
             if name in given and switch not in given and not open_loop
         }
-        self._is_switched = np.array([v.name in self._switches for v in self.inputs], dtype=bool)
+        self._is_driven = np.array([name not in conditions.inputs for name in given], dtype=bool)
+        self._is_left = self._is_driven & np.array([name in self._switches for name in given], dtype=bool)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
         self._set_up_disturbances(forecast_horizon)
@@ -449,8 +454,8 @@ class LoopSetup:
 
     @property
     def has_switches(self) -> bool:
-        """Whether an input that is driven has one."""
-        return bool(self._is_switched.any())
+        """Whether the plant has a control of its own for an input that is driven."""
+        return bool(self._is_left.any())
 
     def switched(self, controller: Controller) -> dict[str, ParameterValue]:
         """Return the plant's switches under a controller, as parameters: 1 where an input is driven.
@@ -471,7 +476,8 @@ class LoopSetup:
 
     def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
         """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        return np.where(self._is_switched, np.nan, u) if isinstance(controller, PlantControl) else u
+        left = self._is_left[self._is_driven]
+        return np.where(left, np.nan, u) if isinstance(controller, PlantControl) else u
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
@@ -490,8 +496,13 @@ class LoopSetup:
         del past[: -1 - max(self._lags)]
         return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
 
-    def charged(self, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
-        """Return what the plant has of the charged signals, given all its inputs and outputs."""
+    def charged(self, controller: Controller, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
+        """Return what the plant has of the charged signals, given all its inputs and outputs.
+
+        Of inputs that are left to the plant, it is not known.
+        """
+        if isinstance(controller, PlantControl):
+            applied = np.where(self._is_left, np.nan, applied)
         return np.array([applied[i] if is_input else all_outputs[i] for is_input, i in self._charged])
 
     def issues(self, horizon: int, samples: int) -> range:
@@ -563,10 +574,10 @@ class LoopSetup:
         seen = [
             name
             for name in names(self._measured_inputs)
-            if name not in conditions.recorded_inputs and _is_foretelling(conditions.inputs[name])
+            if name not in conditions.recorded_inputs and is_foretelling(conditions.inputs[name])
         ]
         if seen:
-            when = f"from t = {experiment[0]:g} s to {experiment[1]:g} s, the run from {run[0]:g} s"
+            when = f"from t = {shown(experiment[0])} to {shown(experiment[1])}, the run from {shown(run[0])}"
             remedy = "let it end before, by recording_start, or give recorded_disturbances"
             what = f"the experiment has the run's own course: it is {when}; {remedy}"
             raise ConfigError([f"disturbances: {name}: {what}" for name in seen])
@@ -671,14 +682,11 @@ class LoopSetup:
         }
         faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
         if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
-            faults.append(f"sampling time {recording.sampling_time:g} s, the loop {self.sampling_time:g} s")
+            faults.append(
+                f"sampling time {shown(recording.sampling_time)}, the loop {shown(self.sampling_time)}"
+            )
         if faults:
             raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
-
-
-def _is_foretelling(signal: Reference) -> bool:
-    """Whether a signal over one time tells it at another: it is neither random nor constant."""
-    return signal.with_seed(0) == signal.with_seed(1) and not isinstance(signal, Constant)
 
 
 def _is_finite(value: Any) -> bool:

@@ -17,6 +17,7 @@ from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
 from ddpc_cosim.data_quality import recording_warnings
 from ddpc_cosim.disturbances import KnownDisturbance
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import (
     ConfigError,
     ControllerError,
@@ -142,6 +143,7 @@ def cosimulate(
         Time between samples and simulated time [s]; the duration is an integer multiple of the sampling time.
     reference : Reference, Band, or mapping of str to these
         Reference of the controlled output, or of each by name, in their units; a band in place of a line.
+        None at all, ``{}``, under :class:`PlantControl`: outputs are measured only.
     excitation : Excitation, optional
         The experiment to record before the loop is closed.
     stabiliser : Controller, optional
@@ -186,7 +188,7 @@ def cosimulate(
     warm_up : float
         How long the plant runs before the first sample [s], which is not part of the trace.
     warm_up_controller : Controller, optional
-        Controls it meanwhile; default: inputs rest.
+        Controls it meanwhile; default: inputs rest, and the plant's own control acts where it has one.
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
 
@@ -211,6 +213,7 @@ def cosimulate(
         seed,
         preview,
         open_loop=controller is None,
+        is_free=isinstance(controller, PlantControl) and reference == {},
         disturbances=disturbances,
         recorded_disturbances=recorded_disturbances,
         prices=prices,
@@ -245,10 +248,10 @@ def cosimulate(
     begin = start_time - warm_up_steps * sampling_time
     warmer = warm_up_controller or (PlantControl() if setup.has_switches else _NoController(setup.rest))
     switched = setup.switched(controller)
+    before = setup.switched(warmer) if warm_up_steps else switched
     if not continue_recording:
         plant.plan(sampling_time, end)
-        at_first = setup.switched(warmer) if warm_up_steps else switched
-        y_plant = reset_plant(plant, {**(parameters or {}), **at_first} or parameters, begin)
+        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, begin)
     elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
         set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
@@ -260,7 +263,7 @@ def cosimulate(
         setup.start(whole, ahead=later)
         warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
         past, y_plant = warm.recording, warm.y_plant
-        if switched:
+        if switched != before:
             set_plant_parameters(plant, switched, start_time)
     time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
@@ -461,12 +464,12 @@ def _warm_up(
         y_plant = _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
         raise DivergenceError(
-            f"the plant diverged during the warm-up, at t = {rows.next_time:g} s: {error}"
+            f"the plant diverged during the warm-up, at t = {shown(rows.next_time)}: {error}"
         ) from error
     except FMUStepError as error:
         raise FMUStepError(f"{error.message}, during the warm-up", error.status, error.time) from error
     except ControllerError as error:
-        raise ControllerError(f"{error}, during the warm-up, at t = {rows.last_time:g} s") from error
+        raise ControllerError(f"{error}, during the warm-up, at t = {shown(rows.last_time)}") from error
     return _Stretch(rows.recording(), y_plant)
 
 
@@ -528,12 +531,12 @@ def _run_before(
     try:
         return _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
-        when = f"at t = {rows.next_time:g} s"
+        when = f"at t = {shown(rows.next_time)}"
         raise DivergenceError(f"the plant diverged during the {kind or what}, {when}: {error}") from error
     except FMUStepError as error:
         raise FMUStepError(f"{error.message}, during the {what}", error.status, error.time) from error
     except ControllerError as error:
-        raise ControllerError(f"{error}, during the {what}, at t = {rows.last_time:g} s") from error
+        raise ControllerError(f"{error}, during the {what}, at t = {shown(rows.last_time)}") from error
 
 
 class _Rows:
@@ -628,9 +631,10 @@ class _Rows:
         held = clip_inputs(decision, outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charges:
-            store.more["charged"][k] = setup.charged(applied, measured.all_outputs)
+            store.more["charged"][k] = setup.charged(controller, applied, measured.all_outputs)
         given = setup.actuators.changed(applied)
-        store.complete(k, setup.commanded(controller, held.u), held.status, held.seconds, given, held.info)
+        u = held.u if self._seen is not None else setup.commanded(controller, held.u)
+        store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
@@ -667,13 +671,13 @@ def _closed_loop(
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
-        return Outcome.FMU_ERROR, f"{error} at t = {rows.next_time:g} s", is_of_the_machine(error)
+        return Outcome.FMU_ERROR, f"{error} at t = {shown(rows.next_time)}", is_of_the_machine(error)
     except FMUStepError as error:
         return OUTCOME_OF[error.status], str(error), is_of_the_machine(error)
     except NotFiniteError as error:
-        return Outcome.DIVERGED, f"{error} at t = {rows.next_time:g} s", False
+        return Outcome.DIVERGED, f"{error} at t = {shown(rows.next_time)}", False
     except ControllerError as error:
-        return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.last_time:g} s", is_of_the_machine(error)
+        return Outcome.CONTROLLER_ERROR, f"{error} at t = {shown(rows.last_time)}", is_of_the_machine(error)
     return Outcome.COMPLETED, "", False
 
 

@@ -33,6 +33,8 @@ _TRACE = "ddpc_cosim.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
 _OF_A_SIGNAL = ("difference", "value", "difference.s", "difference.h")
 _HOUR = 3600.0  # s
+_BAND = "band_violation"
+"""What outputs with a band have, and no others."""
 Ranking = Literal["error", "money", "pareto"]
 """By what controllers are ranked: the study's cost or errors, money, or money and discomfort both."""
 
@@ -91,6 +93,8 @@ class Metric(Generic[Samples]):
         Whose tables show it; without either it stands in ``metrics.csv`` alone.
     exists : callable
         Takes the samples and returns whether there is such a figure of them; default: always.
+    of_band : str
+        What it is called of an output with a band; empty: the same.
     """
 
     of: type[Samples]
@@ -103,6 +107,7 @@ class Metric(Generic[Samples]):
     over_seeds: Literal["median", "largest", "total"] = "median"
     shown: Sequence[Literal["report", "terminal"]] = ("report", "terminal")
     exists: Callable[[Samples], bool] = lambda _: True
+    of_band: str = ""
 
     def __str__(self) -> str:
         """Return what its name stands for, what it is, its unit and which values are better, in one line."""
@@ -125,12 +130,15 @@ def split_key(key: str) -> tuple[str, str, str]:
     return name, signal, unit.removesuffix("]")
 
 
-def metric_name(key: str) -> str:
+def metric_name(key: str, keys: Iterable[str] = ()) -> str:
     """Return what a metric is called in sentences and tables, from its key or name: its label.
 
     It begins with a small letter, but for an acronym. A metric that is installed no more has its own name.
+    Among the ``keys`` of its run it is told whether its output has a band, of which errors are distances.
     """
-    label = metric_of(key).label
+    metric, signal = metric_of(key), split_key(key)[1]
+    is_of_band = bool(metric.of_band) and any(split_key(other)[:2] == (_BAND, signal) for other in keys)
+    label = metric.of_band if is_of_band else metric.label
     return label if label[1:2].isupper() else label[:1].lower() + label[1:]
 
 
@@ -143,15 +151,15 @@ def headline(keys: Iterable[str], ranking: Ranking | None = None) -> tuple[str, 
         Those of the runs.
     ranking : {"error", "money", "pareto"}, optional
         By the study's own cost if it has one, else mean errors; by money; or by money and discomfort, both;
-        default: the last where there are prices, else the first.
+        default: the last where there are prices and no cost, else the first.
     """
     keys = [*keys]
     by_name = {
         name: [key for key in keys if split_key(key)[0] == name]
         for name in ("cost", "mean_abs_error", "money")
     }
-    money = by_name["money"] if ranking != "error" else []
-    if money:
+    money = by_name["money"]
+    if money and (ranking in ("money", "pareto") or (ranking is None and not by_name["cost"])):
         return (*money, *(() if ranking == "money" else discomfort(keys)))
     return tuple(by_name["cost"] or by_name["mean_abs_error"])
 
@@ -161,7 +169,7 @@ def discomfort(keys: Iterable[str]) -> tuple[str, ...]:
     of_output: dict[str, str] = {}
     for key in keys:
         name, signal, _ = split_key(key)
-        if name == "band_violation" or (name == "mean_abs_error" and signal not in of_output):
+        if name == _BAND or (name == "mean_abs_error" and signal not in of_output):
             of_output[signal] = key
     return tuple(of_output.values())
 
@@ -344,12 +352,14 @@ METRICS: dict[str, _Any] = {
         "Mean absolute error",
         "mean of |reference - output| over the samples",
         lambda r: _mean(r.magnitude),
+        of_band="Mean distance to the band",
     ),
     "rmse": Metric(
         Response,
         "RMSE",
         "root mean square of reference - output",
         lambda r: _rms(r.error),
+        of_band="RMS distance to the band",
     ),
     "sum_abs_error": Metric(
         Response,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Bounds, Charge, Sample
 from ddpc_cosim.disturbances import Forecasts, KnownDisturbance
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.prices import Price
 from ddpc_cosim.signals import Band, Reference, in_unit_of, values_at
@@ -101,7 +102,7 @@ def _crossed(what: str, edges: FloatArray, time: FloatArray) -> list[str]:
         return []
     k = wrong[0]
     values = f"lower {edges[k, 0]:g} is above upper {edges[k, 1]:g}"
-    return [f"{what}: {values} at t = {time[k]:g} s; needed: lower <= upper at all times"]
+    return [f"{what}: {values} at t = {shown(time[k])}; needed: lower <= upper at all times"]
 
 
 class Limits(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, ControllerCode, Loop, Sample
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.settings import to_plain
@@ -131,7 +132,7 @@ def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray
     shape = (len(plant.outputs), len(plant.inputs))
     if matrix is not None and matrix.shape != shape:
         message = f"{type(plant).__name__}.feedthrough {_returned(matrix)}; needed: shape {shape}"
-        raise FMUStepError(f"{message} at t = {time:g} s", StepStatus.CRASHED, time)
+        raise FMUStepError(f"{message} at t = {shown(time)}", StepStatus.CRASHED, time)
     return matrix
 
 
@@ -421,7 +422,7 @@ class _ControllerCall(_Call):
 
 def plant_fault(words: str, error: BaseException, time: float) -> FMUStepError:
     """Return the error for what a call of a plant, named by words, raised."""
-    when = "" if math.isnan(time) else f" at t = {time:g} s"
+    when = "" if math.isnan(time) else f" at t = {shown(time)}"
     return FMUStepError(f"{words} {_raised(error)}{when}", StepStatus.CRASHED, time)
 
 
@@ -430,7 +431,7 @@ def plant_outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> Floa
     size = len(plant.outputs)
     if y.shape != (size,) or y.dtype.kind not in _REAL_KINDS:
         needed = f"needed: real numbers, shape ({size},)"
-        message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {time:g} s"
+        message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {shown(time)}"
         raise FMUStepError(message, StepStatus.CRASHED, time)
     return np.asarray(y, dtype=np.float64)
 

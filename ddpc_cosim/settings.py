@@ -15,6 +15,7 @@ from typing import Any, ClassVar, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 
+from ddpc_cosim.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.errors import ConfigError, MissingLibraryError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin, load_target
 from ddpc_cosim.variables import FloatArray
@@ -343,19 +344,32 @@ def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
     value : object
         What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``,
         or a controller's name), or else of the setting's ``kind``, or of the class of its default. A list
-        makes a list of such objects.
+        makes a list of such objects. A text may say a time, where that is in seconds.
 
     Raises
     ------
     SettingsError
         The object cannot be made, and why.
     """
+    if isinstance(value, str):
+        return _seconds_in(plugin, name, value)
     if not isinstance(value, dict | list) or not dataclasses.is_dataclass(plugin):
         return value
     kind = _kind_of_tables(plugin, name)
     if isinstance(value, list):
         return [_from_table((name, i), item, kind) for i, item in enumerate(value)]
     return _from_table((name,), value, kind)
+
+
+def _seconds_in(plugin: type[Any], name: str, text: str) -> Any:
+    """Return a setting's text as it is, or in seconds if that is its unit."""
+    info = declared_settings(plugin).get(name)
+    if info is None or info.unit != "s":
+        return text
+    try:
+        return seconds_of(text)
+    except ValueError as error:
+        raise SettingsError([((name,), f"must be {DURATION}, got {text[:100]!r}")]) from error
 
 
 def _kind_of_tables(plugin: type[Any], name: str) -> Any:

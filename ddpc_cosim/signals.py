@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
-from ddpc_cosim.durations import in_words
+from ddpc_cosim.durations import in_words, shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
@@ -87,7 +87,7 @@ def values_at(signal: Reference, what: str, time: FloatArray) -> FloatArray:
         raise ConfigError(f"{what}: has shape {values.shape}; needed: {time.shape}")
     if not np.isfinite(values).all():
         first = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ConfigError(f"{what}: {values[first]} at t = {time[first]:g} s; needed: finite")
+        raise ConfigError(f"{what}: {values[first]} at t = {shown(time[first])}; needed: finite")
     return values
 
 
@@ -203,6 +203,8 @@ class Steps(Signal):
         Increasing instants [s].
     values : sequence of float
         One value for each instant.
+    period : float
+        Time after which all of it comes again, as a day's course does [s]; 0: it does not.
 
     Raises
     ------
@@ -216,6 +218,8 @@ class Steps(Signal):
         doc="instants; those of an excitation count from the start of the experiment", unit="s"
     )
     values: Numbers = setting(doc="one value for each instant", unit=SIGNAL)
+    _: KW_ONLY
+    period: float = setting(0.0, low=0, doc="time after which it comes again; 0: it does not", unit="s")
 
     def __post_init__(self) -> None:
         _check_types(self)
@@ -225,8 +229,14 @@ class Steps(Signal):
             faults.append(f"steps: {lengths} must have the same length, at least 1")
         if not np.all(np.diff(self.times) > 0):
             faults.append(f"steps: times must increase, got {list(self.times)}")
+        elif self.period and len(self.times) and not 0 <= self.times[0] <= self.times[-1] < self.period:
+            faults.append(f"steps: times must be from 0 to below period = {self.period:g}")
         if faults:
             raise ConfigError(faults)
+
+    def __repr__(self) -> str:
+        hidden = {"unit": self.unit, "period": self.period}
+        return shown_without(self, [name for name, value in hidden.items() if not value])
 
     def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         return {"times": tuple(self.times), **super(Steps, self)._converted(convert)}
@@ -234,8 +244,11 @@ class Steps(Signal):
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         late = time + _RELATIVE_TIME_TOLERANCE * np.maximum(1.0, np.abs(time))
+        if self.period:
+            late = np.mod(late, self.period)
         index = np.searchsorted(self.times, late, side="right") - 1
-        return np.asarray(self.values, dtype=float)[np.maximum(index, 0)]
+        # Before its first instant a period is as the one before has ended.
+        return np.asarray(self.values, dtype=float)[index if self.period else np.maximum(index, 0)]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -249,7 +262,7 @@ class Interpolated(Steps):
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
-        return np.interp(time, self.times, self.values)
+        return np.interp(time, self.times, self.values, period=self.period or None)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -337,6 +350,72 @@ class WhiteNoise(Signal):
         """Return the values at the given times [s]; same shape as ``time``."""
         drawn = np.random.default_rng(self.seed).standard_normal(time.shape)
         return self.mean + self.standard_deviation * drawn
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class RandomLevels(Signal):
+    """Levels drawn at random, uniformly and independently, one for each ``hold``: a load, a feed, clouds.
+
+    It is a function of time: the same over any stretch of it.
+
+    Parameters
+    ----------
+    low, high : float
+        Between what the levels are.
+    hold : float
+        Time between one level and the next [s].
+    interpolation : {"hold", "linear"}
+        What the signal is between two levels: the last one, or a straight line.
+    seed : int
+        Seed of the levels; where it is one of the conditions of a loop, the loop gives it one of its own.
+    """
+
+    kind: ClassVar[str] = "random"
+
+    low: float = setting(doc="lowest level", unit=SIGNAL)
+    high: float = setting(doc="highest level", unit=SIGNAL)
+    hold: float = setting(doc="time between one level and the next", unit="s", above=0)
+    _: KW_ONLY
+    interpolation: Literal["hold", "linear"] = setting(
+        "hold", doc="what the signal is between two levels: the last one, or a straight line"
+    )
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check_types(self)
+        faults = []
+        if not self.low < self.high:
+            faults.append(f"random: low ({self.low:g}) must be below high ({self.high:g})")
+        if not 0 < self.hold < math.inf:
+            faults.append(f"random: hold = {self.hold:g} is not possible; allowed: a finite number > 0")
+        if faults:
+            raise ConfigError(faults)
+
+    def with_seed(self, seed: int) -> "RandomLevels":
+        """Return levels of another seed."""
+        return replace(self, seed=seed)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        position = time / self.hold
+        position = position + _RELATIVE_TIME_TOLERANCE * np.maximum(1.0, np.abs(position))
+        cell = np.floor(position)
+        first = self._levels(cell)
+        if self.interpolation == "hold":
+            return first
+        return first + (position - cell) * (self._levels(cell + 1) - first)
+
+    def _levels(self, cells: FloatArray) -> FloatArray:
+        """Return the level of each cell, whose number is part of its seed."""
+        numbers, where = np.unique(cells, return_inverse=True)
+        drawn = [np.random.default_rng([self.seed, *_split(int(number))]).random() for number in numbers]
+        levels: FloatArray = self.low + (self.high - self.low) * np.array(drawn)
+        return levels[where]
+
+
+def _split(number: int) -> tuple[int, int]:
+    """Return an integer as its sign and size, as a seed has no sign."""
+    return int(number < 0), abs(number)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -439,8 +518,84 @@ def by_kind(*classes: Any) -> dict[str, type[Any]]:
 REFERENCES = by_kind(Constant, Steps, Interpolated, Ramp, Sine, SignalFromFile)
 """The signals that a reference may be, by their kinds."""
 ReferenceSignal = Annotated[Reference, Kinds(REFERENCES)]
-InputSignal = Annotated[Reference, Kinds(REFERENCES | by_kind(WhiteNoise))]
-"""What may act on a plant: the same, and noise."""
+_PARTS = REFERENCES | by_kind(WhiteNoise, RandomLevels)
+_Parts = Annotated[Sequence[Annotated[Reference, Kinds(_PARTS)]], Size(1)]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class _OfParts(Signal):
+    """What signals that are made of others share."""
+
+    parts: _Parts = setting(doc="the signals that it is made of")
+
+    def __post_init__(self) -> None:
+        wrong = [part for part in self.parts if not isinstance(part, Reference)]
+        if wrong:
+            raise ConfigError([f"{self.kind}: needed: signals of time, got {part!r}" for part in wrong])
+
+    def in_unit(self, variable: Variable, *, difference: bool = False) -> Reference:
+        """Return the signal in a variable's own unit; parameters and errors as of :class:`Signal`."""
+        parts = [
+            replace(part, unit=self.unit) if isinstance(part, Signal) and not part.unit else part
+            for part in self.parts
+        ]
+        return replace(self, unit="", parts=tuple(self._parts_in_unit(parts, variable, difference)))
+
+    @abstractmethod
+    def _parts_in_unit(
+        self, parts: Sequence[Reference], variable: Variable, difference: bool
+    ) -> Iterator[Reference]:
+        """Yield the parts in a variable's own unit."""
+
+    def with_seed(self, seed: int) -> Reference:
+        """Return the signal with the random numbers of another seed, other ones in each part."""
+        seeds = np.random.SeedSequence(seed).generate_state(len(self.parts), np.uint64).tolist()
+        return replace(
+            self, parts=tuple(part.with_seed(own) for part, own in zip(self.parts, seeds, strict=True))
+        )
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Sum(_OfParts):
+    """Signals that are added up: the first one, and what is added to it."""
+
+    kind: ClassVar[str] = "sum"
+
+    def _parts_in_unit(
+        self, parts: Sequence[Reference], variable: Variable, difference: bool
+    ) -> Iterator[Reference]:
+        for number, part in enumerate(parts):
+            yield in_unit_of(variable, part, difference=difference or number > 0)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        total: FloatArray = np.sum([part.at(time) for part in self.parts], axis=0)
+        return total
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Product(_OfParts):
+    """Signals that are multiplied: the first one, and factors without a unit, as clouds are of the sun."""
+
+    kind: ClassVar[str] = "product"
+
+    def _parts_in_unit(
+        self, parts: Sequence[Reference], variable: Variable, difference: bool
+    ) -> Iterator[Reference]:
+        factor = Variable(f"factor of {variable.name}", "1")
+        for number, part in enumerate(parts):
+            own = replace(part, unit="") if number and isinstance(part, Signal) else part
+            yield in_unit_of(factor if number else variable, own, difference=difference and not number)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        product: FloatArray = np.prod([part.at(time) for part in self.parts], axis=0)
+        return product
+
+
+INPUTS = _PARTS | by_kind(Sum, Product)
+"""The signals that may act on a plant: these, random ones, and sums and products."""
+InputSignal = Annotated[Reference, Kinds(INPUTS)]
 
 
 @dataclass(frozen=True, slots=True, repr=False)

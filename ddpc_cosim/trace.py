@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
 from ddpc_cosim.csv_files import write_table
+from ddpc_cosim.durations import shown
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
 from ddpc_cosim.tables import plain_table
@@ -161,7 +162,7 @@ class Trace:
         return len(self.time)
 
     def __repr__(self) -> str:
-        samples = f"{len(self)} of {self.planned_samples} samples, {self.sampling_time:g} s apart"
+        samples = f"{len(self)} of {self.planned_samples} samples, {shown(self.sampling_time)} apart"
         signals = f"{' '.join(names(self.inputs))} -> {' '.join(names(self.outputs))}"
         return printable(f"Trace({self.outcome}, {samples}, {signals})")
 
@@ -244,9 +245,17 @@ class Trace:
 
     def _limits(self, variable: Variable, i: int, *, of_input: bool = False) -> Limits:
         """Return the limits of an input or output at the held samples, arrays where they move."""
+        limits = self._all_limits(variable, i, of_input=of_input)
+        if isinstance(limits, tuple):
+            return limits
+        return limits[: self.held, 0], limits[: self.held, 1]
+
+    def _all_limits(
+        self, variable: Variable, i: int, *, of_input: bool = False
+    ) -> tuple[float, float] | FloatArray:
+        """Return the limits of an input or output at all samples, an array of shape (K, 2) if they move."""
         if variable.name in self.moving_limits and self.held:
-            limits = (self.input_limits if of_input else self.output_limits)[: self.held, i]
-            return limits[:, 0], limits[:, 1]
+            return (self.input_limits if of_input else self.output_limits)[:, i]
         bounds = self.bounds
         ends = (bounds.u_min, bounds.u_max) if of_input else (bounds.y_min, bounds.y_max)
         return float(ends[0][i]), float(ends[1][i])
@@ -273,19 +282,29 @@ class Trace:
         )
 
     def plot(self) -> "altair.VConcatChart":
-        """Return the samples as a chart: outputs with references and limits, inputs below, in display units.
+        """Return the samples as a chart, in display units.
+
+        Outputs have references or shaded bands, and limits; below are inputs, disturbances and prices. Of
+        long runs time is in hours or days.
 
         It shows itself in a notebook; ``save`` writes it as a page, SVG or PNG.
         """
         from ddpc_cosim.plotting import Panel, time_chart
 
-        limits = self.bounds
-        panels = [
-            Panel(v, self.y[:, i], (limits.y_min[i], limits.y_max[i]), self.reference[:, i])
-            for i, v in enumerate(self.outputs)
-        ]
+        panels = []
+        for i, output in enumerate(self.outputs):
+            limits = self._all_limits(output, i)
+            if output.name in self.bands:
+                panels.append(Panel(output, self.y[:, i], limits, band=self.band[:, i]))
+            else:
+                panels.append(Panel(output, self.y[:, i], limits, self.reference[:, i]))
+        for i, variable in enumerate(self.inputs):
+            limits = self._all_limits(variable, i, of_input=True)
+            panels.append(Panel(variable, self.u[:, i], limits, held=True))
         panels += [
-            Panel(v, self.u[:, i], (limits.u_min[i], limits.u_max[i])) for i, v in enumerate(self.inputs)
+            Panel(variable, values, held=True)
+            for title, variable, values in self._further()
+            if title in ("disturbance", "price")
         ]
         return time_chart(self.time, panels, "" if self.completed else f"{self.outcome}: {self.reason}")
 

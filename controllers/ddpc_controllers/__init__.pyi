@@ -1,5 +1,6 @@
 """The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
 
+from .band_edge import BandEdge as BandEdge
 from .cascade import Cascade as Cascade
 from .data.dictionaries import (
     Combined as Combined,

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,11 @@ from ddpc_controllers.mfac import MFAPC
 from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_prior_info
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
+_UNKNOWN_INSIDE, _UNKNOWN_OUTSIDE = (
+    {name: Sample._field_defaults[name] for name in names}
+    for names in (("band_now", "band", "output_limits"), ("price", "input_limits", "output_limits"))
+)
+
 
 @dataclass(kw_only=True)
 class Cascade(Wrapper):
@@ -29,8 +35,10 @@ class Cascade(Wrapper):
     named in ``inner_outputs``; their references are the inputs of the outer controller, for which plant and
     inner loop are one plant, and have the limits of the outputs they are for. They begin where the first
     sample finds these outputs, so that a plant at rest is left alone. The outer controller takes one sample
-    for ``outer_period`` of the inner one, which does not know its references ahead. Neither may learn from a
-    recording, because there is none of the inner loop; an inner one may take over where the recording ended.
+    for ``outer_period`` of the inner one, which does not know its references ahead. Bands are the outer
+    one's, input limits that move and prices the inner one's; both are told of known disturbances. Neither may
+    learn from a recording, because there is none of the inner loop; an inner one may take over where the
+    recording ended.
 
     A status of either is passed on with its name.
     """
@@ -68,6 +76,9 @@ class Cascade(Wrapper):
             recording=None,
             preview=loop.preview // self.outer_period,
             continues_recording=False,
+            moving_limits=(),
+            charges=(),
+            past=None,
         )
         self._begun = False
         self._start_outer()  # refused here, not at the first sample
@@ -81,12 +92,30 @@ class Cascade(Wrapper):
         if sample.k % self.outer_period == 0:
             # What is known of the outer loop's future is what is known of the whole one's.
             later = sample.reference[self.outer_period - 1 :: self.outer_period]
-            slow = sample._replace(k=sample.k // self.outer_period, reference=later)
+            slow = sample._replace(
+                k=sample.k // self.outer_period,
+                reference=later,
+                forecast=sample.forecast[self.outer_period - 1 :: self.outer_period],
+                band=sample.band[self.outer_period - 1 :: self.outer_period],
+                **_UNKNOWN_OUTSIDE,
+            )
             actions.append(self._outer.step(slow))
             self._target = actions[0].u
         held = np.tile(self._target, (self.inner.horizon, 1))
-        actions.append(self._inner.step(sample._replace(y=y, reference=held, setpoint=self._target.copy())))
+        within = sample._replace(y=y, reference=held, setpoint=self._target.copy(), **self._ahead(sample))
+        actions.append(self._inner.step(within))
         return joined(actions[-1].u, actions)
+
+    def _ahead(self, sample: Sample) -> dict[str, Any]:
+        """Return what the inner controller knows ahead; beyond that the last of it lasts."""
+        rows = {"forecast": self.inner.horizon, "price": self.inner.horizon + 1}
+        rows["input_limits"] = self.inner.horizon + 1
+        known = {name: getattr(sample, name) for name in rows}
+        return _UNKNOWN_INSIDE | {
+            name: values[np.minimum(np.arange(rows[name]), len(values) - 1)]
+            for name, values in known.items()
+            if values.size
+        }
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add both controllers.
@@ -171,7 +200,8 @@ class Cascade(Wrapper):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        inner, outer = self.inner.knowledge(self._inner_loop(loop)), self.outer.knowledge(self._outer_loop)
+        inner = self._inner.controller.knowledge(self._inner_loop(loop))
+        outer = self._outer.controller.knowledge(self._outer_loop)
         return joined_prior_info({"inner": inner, "outer": outer})
 
     @property
@@ -209,15 +239,18 @@ class Cascade(Wrapper):
         return [known.index(name) for name in self.inner_outputs]
 
     def _inner_loop(self, loop: Loop) -> Loop:
-        chosen, recording = self._chosen, loop.recording
+        chosen, inputs = self._chosen, {variable.name for variable in loop.inputs}
+        moving = tuple(name for name in loop.moving_limits if name in inputs)
+        loop = replace(loop, bands=(), moving_limits=moving)
         if chosen is None:
             return loop
         outputs = tuple(loop.measurements[i] for i in chosen)
         low, high = np.array([(v.min, v.max) for v in outputs]).T
-        if recording is not None:
-            recording = replace(recording, y=recording.measured[:, chosen])
+        recording, past = (
+            rows and replace(rows, y=rows.measured[:, chosen]) for rows in (loop.recording, loop.past)
+        )
         bounds = Bounds(loop.bounds.u_min, loop.bounds.u_max, low, high)
-        return replace(loop, outputs=outputs, bounds=bounds, recording=recording)
+        return replace(loop, outputs=outputs, bounds=bounds, recording=recording, past=past)
 
     def _faults_between_settings(self) -> list[str]:
         faults = controller_faults("Cascade", inner=self.inner, outer=self.outer)

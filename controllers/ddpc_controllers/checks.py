@@ -5,7 +5,16 @@ from math import isfinite
 
 import numpy as np
 
-from ddpc_cosim import ConfigError, Controller, FloatArray, Variable, Weight, check_settings, weight_matrix
+from ddpc_cosim import (
+    ConfigError,
+    Controller,
+    FloatArray,
+    Loop,
+    Variable,
+    Weight,
+    check_settings,
+    weight_matrix,
+)
 
 
 def check_settings_and(controller: Controller, faults_between: Callable[[], Sequence[str]]) -> None:
@@ -36,9 +45,9 @@ def prior_info(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
     return {"measures": ", ".join(named), "plant": plant}
 
 
-def without_forecast(facts: dict[str, str]) -> dict[str, str]:
+def without_forecast(facts: dict[str, str], loop: Loop) -> dict[str, str]:
     """Return the facts of a controller that makes nothing of what is known ahead of disturbances."""
-    return facts | {"forecast": "not used"}
+    return facts | ({"forecast": "not used"} if loop.disturbances else {})
 
 
 def weight_matrices(**weights: tuple[Weight, int]) -> list[FloatArray]:

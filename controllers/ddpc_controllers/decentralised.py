@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ddpc_cosim import (
     ConfigError,
     Controller,
     Loop,
+    Recording,
     Sample,
     Variable,
     check_settings,
@@ -88,6 +89,7 @@ class Decentralised(Wrapper):
                     measured=sample.measured[share.measurements],
                     reference=sample.reference[: inner.controller.horizon, share.outputs],
                     setpoint=sample.setpoint[share.outputs],
+                    **share.further(sample, inner.controller.horizon),
                 )
             )
             for inner, share in zip(self._running, self._shares, strict=True)
@@ -126,9 +128,9 @@ class Decentralised(Wrapper):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        parts = zip(self.groups, self._shares, strict=True)
+        parts = zip(self.groups, self._running, self._shares, strict=True)
         return joined_prior_info(
-            {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}
+            {group.name: inner.controller.knowledge(_part_of(loop, share)) for group, inner, share in parts}
         )
 
     @property
@@ -152,6 +154,19 @@ class _Share(NamedTuple):
     inputs: list[int]
     outputs: list[int]
     measurements: list[int]
+
+    def further(self, sample: Sample, horizon: int) -> dict[str, Any]:
+        """Return what else a sample says to the group, as far as it says it at all."""
+        fields: dict[str, tuple[int | slice | list[int], ...]] = {
+            "forecast": (slice(horizon),),
+            "band_now": (self.outputs,),
+            "band": (slice(horizon), self.outputs),
+            "price": (slice(horizon + 1),),
+            "input_limits": (slice(horizon + 1), self.inputs),
+            "output_limits": (slice(horizon), self.outputs),
+        }
+        said = {name: getattr(sample, name) for name in fields}
+        return {name: values[fields[name]] for name, values in said.items() if values.size}
 
 
 def _share_out(groups: Sequence[Group], loop: Loop) -> list[_Share]:
@@ -190,11 +205,18 @@ def _share_out(groups: Sequence[Group], loop: Loop) -> list[_Share]:
 
 
 def _part_of(loop: Loop, share: _Share) -> Loop:
-    recording, bounds = loop.recording, loop.bounds
+    bounds = loop.bounds
+    inputs, outputs = (
+        tuple(loop.inputs[i] for i in share.inputs),
+        tuple(loop.outputs[i] for i in share.outputs),
+    )
+    names = {variable.name for variable in (*inputs, *outputs)}
     return replace(
         loop,
-        inputs=tuple(loop.inputs[i] for i in share.inputs),
-        outputs=tuple(loop.outputs[i] for i in share.outputs),
+        inputs=inputs,
+        outputs=outputs,
+        bands=tuple(name for name in loop.bands if name in names),
+        moving_limits=tuple(name for name in loop.moving_limits if name in names),
         measurements=tuple(loop.measurements[i] for i in share.measurements),
         bounds=Bounds(
             bounds.u_min[share.inputs],
@@ -202,12 +224,16 @@ def _part_of(loop: Loop, share: _Share) -> Loop:
             bounds.y_min[share.outputs],
             bounds.y_max[share.outputs],
         ),
-        recording=recording
-        and replace(
-            recording,
-            u=recording.u[:, share.inputs],
-            y=recording.y[:, share.outputs],
-            measured=recording.measured[:, share.measurements],
-        ),
+        recording=_part_of_recording(loop.recording, share),
+        past=_part_of_recording(loop.past, share),
         rng=deepcopy(loop.rng),  # each controller draws as if it were alone
+    )
+
+
+def _part_of_recording(recording: Recording | None, share: _Share) -> Recording | None:
+    return recording and replace(
+        recording,
+        u=recording.u[:, share.inputs],
+        y=recording.y[:, share.outputs],
+        measured=recording.measured[:, share.measurements],
     )

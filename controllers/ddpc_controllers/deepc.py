@@ -20,7 +20,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, prior_info
+from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.hankel import (
     ONE,
     WindowLayout,
@@ -30,6 +30,9 @@ from ddpc_controllers.data.hankel import (
     require_excitation,
     require_length,
     resting_input,
+    samples_before,
+    signals_of,
+    signals_that_move,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
@@ -37,11 +40,12 @@ from ddpc_controllers.export.code import Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
+from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
-from ddpc_controllers.scaling import ScaledSignals
+from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
     Action,
     Choice,
@@ -63,7 +67,7 @@ _UNEXPLAINED = 0.3
 
 
 @dataclass(kw_only=True)
-class BehavioralTracking(ScaledSignals):
+class BehavioralTracking(Foresight, ScaledSignals):
     """Predict with recorded windows, track the reference; a subclass says how windows are combined.
 
     What a subclass sets, in the order of the calls:
@@ -81,6 +85,7 @@ class BehavioralTracking(ScaledSignals):
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
+    _scales_ahead: ClassVar[ScaleAhead] = "none"
 
     initial_length: int = setting(
         3,
@@ -143,21 +148,30 @@ class BehavioralTracking(ScaledSignals):
         self._forecast = recording.y[-1]
         self._rates = rate_limits(self.rate_bounds, m) / self._scales.u
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, self._rates, steps)
-        self._resting: bool = not loop.continues_recording
+        self._resting: bool = samples_before(loop, 1) is None
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
         ridge = np.zeros(len(data) - self.horizon * p)
-        ridge[self._layout.rows_of("y", {"u": m, "y": p})[: self._past_outputs * p]] = self._past_ridge
+        ridge[self._rows_of("y", recording)[: self._past_outputs * p]] = self._past_ridge
         test = fit_by_windows(data, self.horizon * p, p, self._layout.depth, ridge)
         self._judgement = judge(
             type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
+        )
+        self._outlook = Outlook(
+            loop,
+            self,
+            self.horizon,
+            past=self.initial_length,
+            first=int(self.use_current_output),
+            controlled=self._method_loop.controlled,
+            units=(self._scales.u, self._scales.y, self._scales.d),
         )
         windows = {
             "u_ini": (self.initial_length, m),
             "y_ini": (self._past_outputs, p),
             "r": (self.horizon, p),
         }
-        self._parameters = ParameterVector(windows)
+        self._parameters = ParameterVector(windows | self._outlook.windows)
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
         problem.ask(y=-p)
@@ -176,15 +190,17 @@ class BehavioralTracking(ScaledSignals):
             if missing:
                 return Action(parameters.window("u_ini")[-1].copy(), missing)
             parameters.fill("y_ini", y)
+            self._outlook.begin(parameters, sample.disturbance / self._scales.d)
             self._resting = False
         elif self.use_current_output:
             parameters.append("y_ini", self._known(y) if missing else y)
-        u, fault = self._continue_plan() if self._pending else self._plan(sample.reference)
+        u, fault = self._continue_plan(sample) if self._pending else self._plan(sample)
         parameters.append("u_ini", u)
         if not self.use_current_output:
             parameters.append("y_ini", self._known(y) if missing else y)
         if learner:
-            learner.learn(u=u, y=y)
+            learner.learn(u=u, y=y, d=self._outlook.now(parameters))
+        self._outlook.advance(parameters)
         return action(u, fault or missing, self._info)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
@@ -217,8 +233,8 @@ class BehavioralTracking(ScaledSignals):
         return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("nothing", loop.outputs)
+        """Return the signals it uses, and its prior information about the plant and the time ahead."""
+        return self._facts("nothing", loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
@@ -260,7 +276,12 @@ class BehavioralTracking(ScaledSignals):
         past, known, horizon = self.initial_length, self._past_outputs, self.horizon
         sum_of_g = [(ONE, 0, 1)] if self._sums_g else []
         return WindowLayout(
-            ("u", 0, past), ("y", 0, known), *sum_of_g, ("u", past, horizon), ("y", known, horizon)
+            ("u", 0, past),
+            ("y", 0, known),
+            *sum_of_g,
+            ("d", 0, past + horizon),
+            ("u", past, horizon),
+            ("y", known, horizon),
         )
 
     def _faults_between_settings(self) -> list[str]:
@@ -291,13 +312,16 @@ class BehavioralTracking(ScaledSignals):
 
     def _stack(self, recording: Recording) -> FloatArray:
         """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
-        u, y, who = recording.u, recording.y, type(self).__name__
-        depth, order = self.initial_length + self.horizon, self._order_needed(y.shape[1])
-        require_length(len(u), order, u.shape[1], who, recording.seams)
-        data = self._layout.stack({"u": u, "y": y}, recording.seams)
-        windows = np.delete(data, self._sum_rows(recording), axis=0)
-        self._diagnostics = diagnose(windows, u, order, recording.seams)
-        require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
+        who = type(self).__name__
+        depth = self.initial_length + self.horizon
+        order = self._order_needed(self._method_loop.controlled)
+        moved = signals_that_move(recording)
+        require_length(len(moved), order, moved.shape[1], who, recording.seams, recording.d.shape[1])
+        data = self._layout.stack(signals_of(recording), recording.seams)
+        windows = np.delete(data, self._rows_of(ONE, recording), axis=0)
+        self._diagnostics = diagnose(windows, moved, order, recording.seams)
+        why = f"depth {depth} + assumed order {order - depth}"
+        require_excitation(self._diagnostics, why, who, recording.d.shape[1])
         return data
 
     @property
@@ -309,9 +333,10 @@ class BehavioralTracking(ScaledSignals):
             seen -= self.initial_length - 1
         return Span(seen, "horizon"), Span(self._past_outputs, "initial_length")
 
-    def _sum_rows(self, recording: Recording) -> NDArray[np.intp]:
-        """Return the number of the row that sums g, if there is one."""
-        return self._layout.rows_of(ONE, {"u": recording.u.shape[1], "y": recording.y.shape[1]})
+    def _rows_of(self, signal: str, recording: Recording) -> NDArray[np.intp]:
+        """Return which rows of M hold a signal."""
+        widths = {name: values.shape[1] for name, values in signals_of(recording).items()}
+        return self._layout.rows_of(signal, widths)
 
     def _tracking_problem(
         self, loop: Loop, *, prefer_rest: bool = False, future_slack: float = 0.0
@@ -329,22 +354,29 @@ class BehavioralTracking(ScaledSignals):
         )
         sizes = self._parameters.sizes
         past = {"u_ini": sizes["u_ini"], "y_ini": sizes["y_ini"]} | ({"sum_g": 1} if self._sums_g else {})
+        disturbed = {D: sizes[D]} if D in sizes else {}
         return tracking_problem(
             settings,
             loop.bounds,
             resting_input(loop),
             self._rates,
-            past,
+            past | disturbed,
             sizes,
-            known={"u_ini": "u_ini"} | ({"sum_g": "one"} if self._sums_g else {}),
+            known={"u_ini": "u_ini"}
+            | ({"sum_g": "one"} if self._sums_g else {})
+            | dict.fromkeys(disturbed, D),
             prefer_rest=prefer_rest,
             future_slack=future_slack,
+            outlook=self._outlook,
         )
 
-    def _plan(self, reference: FloatArray) -> tuple[FloatArray, str]:
+    def _plan(self, sample: Sample) -> tuple[FloatArray, str]:
         """Solve; return the input to apply now, keep those to apply next."""
         parameters = self._parameters
-        parameters.fill("r", reference)
+        parameters.fill("r", sample.reference)
+        self._outlook.fill(parameters, sample)
+        if self._outlook.moves_inputs:
+            self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
         answer, fault = self._law.solve(parameters.array)
         if answer is None:
             self._info = NO_INFO
@@ -362,8 +394,9 @@ class BehavioralTracking(ScaledSignals):
             self._pending = list(plan[1:])
         return plan[0].copy(), fault
 
-    def _continue_plan(self) -> tuple[FloatArray, str]:
+    def _continue_plan(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the next input of the present plan."""
+        self._outlook.fill(self._parameters, sample)
         self._forecast, self._info = self._forecast[self._outputs :], NO_INFO
         return self._pending.pop(0), ""
 
@@ -372,10 +405,13 @@ class BehavioralTracking(ScaledSignals):
         return fill_missing(y, self._forecast[: self._outputs])
 
     def _fill_past(self, loop: Loop, recording: Recording) -> None:
-        """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
+        """Fill the past: with the samples before the first, or with rest as far as it is known yet."""
+        before = samples_before(loop, self._past_outputs)
         past = slice(-self.initial_length, None)
-        self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
-        self._parameters.fill("y_ini", recording.y[-self._past_outputs :])
+        self._parameters.fill("u_ini", resting_input(loop) if before is None else before.u[past])
+        known = recording if before is None else before
+        self._parameters.fill("y_ini", known.y[-self._past_outputs :])
+        self._outlook.begin(self._parameters, known.d[past])
 
 
 @dataclass(kw_only=True)
@@ -484,6 +520,7 @@ class DeePC(OnlineSettings, BehavioralTracking):
             "y_ini": {"y_s": np.tile(y_s, (self._past_outputs, 1))},
             "u": {"u_s": np.tile(u_s, (n, 1))},
             "y": {"y_s": np.tile(y_s, (n, 1))},
+            **self._outlook.at_rest(),
         } | ({"sum_g": {"one": np.eye(1)}} if self._sums_g else {})
 
     def _make_learner(
@@ -496,7 +533,7 @@ class DeePC(OnlineSettings, BehavioralTracking):
             problem,
             data,
             self._layout,
-            {"u": recording.u, "y": recording.y},
+            signals_of(recording),
             self._scales.u,
             loop.continues_recording,
             copy.deepcopy(loop.rng),

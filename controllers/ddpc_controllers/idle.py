@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ddpc_controllers.checks import prior_info
+from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_cosim import FloatArray, Loop, Sample
@@ -26,7 +26,7 @@ class Idle(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it uses no signals."""
-        return prior_info("nothing")
+        return without_forecast(prior_info("nothing"), loop)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the inputs at rest."""

@@ -23,8 +23,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, per_signal, prior_info
-from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.checks import check_settings_and, per_signal, prior_info, without_forecast
+from ddpc_controllers.data.hankel import resting_input, running_past
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
@@ -156,9 +156,11 @@ class IPID(Exportable):
         self._u = resting_input(loop)
         self._integral = np.zeros(len(loop.outputs))
         self._started = False
-        if loop.continues_recording and loop.recording is not None:
-            newest = loop.recording.pieces[-1]
-            self._take_over(newest.u, newest.y)
+        self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
+        self._taken_over = False
+        if past := running_past(loop):
+            self._take_over(past.u, past.y)
+            self._taken_over = not loop.continues_recording
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that cancel F and correct the error."""
@@ -168,6 +170,9 @@ class IPID(Exportable):
                 return Action(self._u.copy(), AT_REST)
             y = np.where(np.isfinite(y), y, self._model.ahead(self._u))
             fault = EXPECTED
+        if self._taken_over:  # the last inputs were its own, for the reference of this sample
+            self._integral = self._integral_before(sample.setpoint)
+            self._taken_over = False
         self._observe(y)
         if not np.isfinite(sample.reference).all():
             return Action(self._u.copy(), HELD_WITHOUT_REFERENCE)
@@ -178,7 +183,8 @@ class IPID(Exportable):
         if self.order > 1:
             correction -= self.kd * estimates[1]
         wanted = self._inverse @ correction
-        u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
+        low, high = sample.input_limits[0].T if self._moving else (self._bounds.u_min, self._bounds.u_max)
+        u: FloatArray = np.clip(wanted, low, high)
         limited = self._moves @ (u != wanted) > 0
         self._integral = np.where(limited, self._integral, integral)
         self._u = u
@@ -186,6 +192,9 @@ class IPID(Exportable):
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the law, with the window as it is."""
+        if self._moving or self._taken_over:
+            what = "has input limits that move" if self._moving else "takes over a running plant"
+            raise ConfigError(f"IPID cannot be exported where it {what}: its code in C does not")
         code.kernel("ipid")
         p = len(self._u)
         ipid = code.constant(
@@ -210,7 +219,17 @@ class IPID(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("a rough gain of the inputs, alpha", loop.outputs)
+        return without_forecast(prior_info("a rough gain of the inputs, alpha", loop.outputs), loop)
+
+    def _integral_before(self, r: FloatArray) -> FloatArray:
+        """Return the integral with which the last inputs follow from the window as it is, shape (p,)."""
+        estimates, y = self._model.estimates(), self._model.window()[0][-1]
+        if not self.ki or not np.isfinite(r).all():
+            return self._integral
+        rest = np.linalg.solve(self._inverse, self._u) + estimates[-1] - self.kp * (r - y)
+        if self.order > 1:
+            rest += self.kd * estimates[1]
+        return np.asarray(rest / self.ki)
 
     def _observe(self, y: FloatArray) -> None:
         if self._started:

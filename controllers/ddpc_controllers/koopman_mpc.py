@@ -24,7 +24,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_info
+from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import (
     Dictionary,
     ThinPlate,
@@ -44,7 +44,6 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_model, head_of, judge
 from ddpc_controllers.export.code import Code
-from ddpc_controllers.models.identification import never_moved
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -346,7 +345,6 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         self._disturbed, self._last_d = bool(loop.disturbances), np.zeros(len(loop.disturbances))
         self._model = model = self._fit(z, recording)
         self._disturbance = model.constant
-        self._still = never_moved(loop, recording)
         memory = Span(1, 'state = "measured"', 'set state = "delays"')
         if self.state == "delays":
             memory = Span(self.delays + 1, "delays")
@@ -358,7 +356,9 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         e = np.vstack([model.e, np.zeros_like(model.e)])
         self._predicted: FloatArray | None = None
         self._u = resting_input(loop)
-        self._predictor = Predictor(a, b, c, e, model.f, self, loop.bounds, self._scales, self._u)
+        self._predictor = Predictor(
+            *(a, b, c, e, model.f), self, loop, self._scales, self._method_loop.controlled
+        )
         if loop.continues_recording:
             self._u, self._last_d = recording.u[-1].copy(), recording.d[-1]
             self._predict(z[-1])
@@ -440,7 +440,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
+        return self._facts("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""
@@ -468,7 +468,3 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         moved = replace(recording, d=np.pad(recording.d, ((0, 0), (0, 1)), constant_values=1.0))
         past = z - recording.d @ model.at_once.T
         return fit_by_model(with_constant, past, moved, self.horizon, head)
-
-    def warnings(self) -> Sequence[str]:
-        """Return warnings about the recording or the model."""
-        return [*super().warnings(), *self._still]

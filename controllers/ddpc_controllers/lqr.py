@@ -84,6 +84,7 @@ class LQR(ModelBased):
             self._feedforward = self._preview_gain(gain, weight, q, r)
         self._sums_of_inputs = np.linalg.pinv(self._sum_gain)
         self._bounds, self._u_0 = loop.bounds, model.u_0
+        self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         # The sums take up what does not change, so the filter estimates no disturbance.
         self._sum: FloatArray | None = None
         self._continues = loop.continues_recording
@@ -133,7 +134,8 @@ class LQR(ModelBased):
         known = np.isfinite(error)
         total = self._sum + np.where(known, error, 0.0)
         wanted = feedback - self._sum_gain @ total
-        u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
+        low, high = sample.input_limits[0].T if self._moving else (self._bounds.u_min, self._bounds.u_max)
+        u: FloatArray = np.clip(wanted, low, high)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
         return u, "" if known.all() else SUM_HELD
 
@@ -152,6 +154,12 @@ class LQR(ModelBased):
         regulator = code.constant("Regulator", observer=f"&{observer}", **named)
         sums, scratch = code.memory(np.zeros(1 + p)), code.memory(np.zeros(m + p))
         return f"regulate(&{regulator}, &held, {sums}, {scratch}, sample, u, told);"
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and its prior information about the plant."""
+        known = ", ".join(variable.name for variable in loop.disturbances)
+        ahead = {"forecast": known if self.use_forecast else "measured only"} if known else {}
+        return {**super().knowledge(loop), **ahead}
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""

@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy  # whose parts are imported when they are first used
 
-from ddpc_controllers.checks import prior_info
+from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -126,9 +126,20 @@ class ModelFreeAdaptive(ScaledSignals):
         self._judgement = Judgement()
         if loop.recording:
             self._judgement = judge(type(self).__name__, loop.recording, loop.outputs, [self._ahead])
+        self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
             self._model.resume(loop.recording.pieces[-1])
+
+    def _take_over(self, loop: Loop) -> None:
+        """Learn from the past of a running plant as if it had controlled that."""
+        if loop.continues_recording or not loop.past:
+            return
+        for u, y in zip(loop.past.u, loop.past.y, strict=True):
+            self._model.observe(y.tolist())
+            self._gradients()
+            self._model.apply(list(map(sub, u.tolist(), self._u)))
+            self._u = u.tolist()
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
@@ -136,7 +147,7 @@ class ModelFreeAdaptive(ScaledSignals):
             prior = "its gradient to begin with"
         else:
             prior = "the sign of its gain" if self.assume_sign else "a first gain"
-        return prior_info(f"{prior}, by initial_gradient", loop.outputs)
+        return without_forecast(prior_info(f"{prior}, by initial_gradient", loop.outputs), loop)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""
@@ -152,6 +163,8 @@ class ModelFreeAdaptive(ScaledSignals):
         hessian, slope = np.dot(a.T, a), np.dot(a.T, error)
         hessian += self._ridge
         changes = self._unlimited(a, error, hessian, slope)
+        if self._moving:
+            self._limits.move(sample.input_limits[0])
         u, fault = self._limits.apply(self._u, changes, hessian, slope)  # (21)
         info = StepInfo(self._info, (a, error, sample.reference, self._limits.plan, self._u, u))
         self._model.apply(list(map(sub, u, self._u)))
@@ -262,6 +275,7 @@ class MFAC(ModelFreeAdaptive):
 
     def _start(self, loop: Loop) -> None:
         self._begin(loop, steps=1, optimise=False)
+        self._take_over(loop)
 
     @property
     def _ahead(self) -> Span:
@@ -325,6 +339,7 @@ class MFAPC(ModelFreeAdaptive):
             theta_limit=self.forecast_limit,
         )
         self._forecasts = [GradientForecast(gradient, constants) for gradient in self._model.gradients]
+        self._take_over(loop)
 
     def _gradients(self) -> list[float]:
         gradients: list[float] = []

@@ -11,7 +11,7 @@ the filter knows them as it knows the inputs. Costs, limits, condensing and the 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,12 +22,12 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
+from ddpc_controllers.optimisation.outlook import D, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import Scales
 from ddpc_cosim import (
-    Bounds,
     FloatArray,
     Log,
     Loop,
@@ -65,15 +65,15 @@ class Predictor:
     Parameters
     ----------
     a, b, c, e, f : array, shapes (n, n), (n, m), (p, n), (n, n_d), (p, n_d)
-        The model, its inputs and outputs those of ``bounds``, and how known disturbances act on both.
+        The model, its inputs and outputs those of the loop, and how known disturbances act on both.
     settings : TrackingSettings
         What to minimise.
-    bounds : Bounds
-        Limits of inputs and outputs.
+    loop : Loop
+        The loop of the model's signals: limits, bands, prices, inputs at rest.
     scales : Scales
         What one unit of each input and output of the model is.
-    rest : array, shape (m,)
-        Inputs at rest: where they are weighed from without an artificial setpoint.
+    controlled : int
+        How many of the outputs are controlled; the others are paid for.
 
     Attributes
     ----------
@@ -95,28 +95,33 @@ class Predictor:
         e: FloatArray,
         f: FloatArray,
         settings: TrackingSettings,
-        bounds: Bounds,
+        loop: Loop,
         scales: Scales,
-        rest: FloatArray,
+        controlled: int,
     ) -> None:
         n, m, p, n_d = len(a), b.shape[1], len(c), e.shape[1]
         self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
         self._inputs, self._unit = m, scales.y
-        self._ends, self.info = predicted_ends(scales.loop.outputs), NO_INFO
-        self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
-        self._disturbed = n_d > 0
-        known = {"x": (1, n), "u_ini": (1, m)} | ({"d": (settings.horizon + 1, n_d)} if n_d else {})
-        self._parameters = ParameterVector({**known, "r": (settings.horizon, p)})
+        self._ends, self.info = predicted_ends(loop.outputs), NO_INFO
+        self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, rates)
+        self._disturbed, self._uses_forecast = n_d > 0, settings.use_forecast
+        # The disturbances are rows of the data up to the last output, which they can show in at once.
+        self._outlook = Outlook(
+            replace(loop, disturbances=()), settings, settings.horizon, controlled=controlled
+        )
+        known = {"x": (1, n), "u_ini": (1, m)} | ({D: (settings.horizon + 1, n_d)} if n_d else {})
+        self._parameters = ParameterVector({**known, "r": (settings.horizon, p), **self._outlook.windows})
         past = {name: self._parameters.sizes[name] for name in known}
         problem = tracking_problem(
             settings,
-            bounds,
-            rest,
+            loop.bounds,
+            resting_input(loop),
             rates,
             past,
             self._parameters.sizes,
             known={name: name for name in past},
             prefer_rest=True,
+            outlook=self._outlook,
         )
         problem.ask(u=m)
         problem.ask(y=-p)
@@ -139,8 +144,11 @@ class Predictor:
         self._parameters.fill("u_ini", last_input)
         self._parameters.fill("r", sample.reference)
         if self._disturbed:
-            disturbances = self._parameters.window("d")
-            disturbances[0], disturbances[1:] = sample.disturbance, sample.forecast
+            d, forecast = self._parameters.window(D), sample.forecast[: self._outlook.horizon]
+            d[0], d[1:] = sample.disturbance, forecast if self._uses_forecast else sample.disturbance
+        self._outlook.fill(self._parameters, sample)
+        if self._outlook.moves_inputs:
+            self._limits.move(sample.input_limits)
         answer, fault = self._law.solve(self._parameters.array)
         if answer is None:
             self.info = NO_INFO
@@ -196,7 +204,7 @@ class MPC(TrackingSettings, ModelBased):
         model = self._observer
         self._predictor = Predictor(
             *(model.a, model.b, model.c, model.e, model.f),
-            *(self, loop.bounds, self._scales, resting_input(loop)),
+            *(self, loop, self._scales, self._method_loop.controlled),
         )
 
     @property

@@ -1,14 +1,19 @@
 """Nonlinear model predictive control on the plant's own equations: what is possible at all.
 
-    min  sum_k |h(x_k) - r_k|_Q^2 + |u_k-1 - u_k-2|_R^2,   x_k+1 = F(x_k, u_k + d, t_k),   u_k within limits
+    min  sum_k |h(x_k) - r_k|_Q^2 + |u_k-1 - u_k-2|_R^2,   x_k+1 = F(x_k, u_k + d, t_k, w_k),   u_k in limits
 
 by direct multiple shooting (H. G. Bock, K. J. Plitt, IFAC World Congress 1984) and IPOPT (A. Waechter, L. T.
 Biegler, Math. Program. 106, 2006, doi:10.1007/s10107-004-0559-y), both by way of CasADi (J. A. E. Andersson
 et al., Math. Program. Comput. 11, 2019, doi:10.1007/s12532-018-0139-4). States and a constant disturbance d
 are estimated by an extended Kalman filter that starts from the model's own start values.
 
+Known disturbances w are what is measured of them now and their forecast. Of an output b in a band [l, h] it
+is ``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
+diagonal, and what is paid adds ``price_weight sum_k price_k rate signal_k sampling_time``; the changes of the
+inputs keep the optimum determined. Limits that move are limits of the plan.
+
 It is a reference point, not a contender: equations and parameters are those that the plant is made of. It is
-not told what acts on the plant besides: the weather, say, or parameters that change in a scenario.
+not told what else acts on the plant: unknown disturbances, or parameters that change in a scenario.
 """
 
 from collections.abc import Mapping
@@ -19,19 +24,25 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, prior_info, weight_matrices
-from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.data.hankel import resting_input, running_past
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.plant_equations import (
     ExtendedKalmanFilter,
     PlantEquations,
     casadi,
     find_model,
+    measured_signals,
 )
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HELD, PREDICTED
+from ddpc_controllers.optimisation.outlook import Foresight
 from ddpc_cosim import OK, Action, ConfigError, FloatArray, Integer, Log, Loop, Sample, Weight, setting
 
+_PRECISE = {"tol": 1e-11, "compl_inf_tol": 1e-11, "acceptable_tol": 1e-8, "bound_relax_factor": 0.0}
+"""Of IPOPT where slopes can be small beside the squares: of prices, and of outputs just outside a band."""
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
+_ENDLESS = 1e18
+"""Stands for an edge or a limit that there is not."""
 
 
 def preload() -> None:
@@ -41,7 +52,7 @@ def preload() -> None:
 
 
 @dataclass(kw_only=True)
-class NMPC(Exportable):
+class NMPC(Foresight, Exportable):
     """Nonlinear model predictive control on the plant's own equations.
 
     A measurement that is not finite is replaced by the model's prediction. Where IPOPT finds no optimum
@@ -104,13 +115,14 @@ class NMPC(Exportable):
         controlled = [variable.name for variable in loop.outputs]
         self._further = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
         self._program(plant, loop)
-        if loop.continues_recording and loop.recording is not None:
-            newest = loop.recording.pieces[-1]
-            for k, (u, y, measured) in enumerate(zip(newest.u, newest.y, newest.measured, strict=True)):
-                time = (k - len(newest)) * loop.sampling_time
-                self._filter.correct(self._signals(y, measured), self._u, time)
-                self._filter.predict(u, time)
-                self._u = u
+        self._w: FloatArray | None = None if loop.disturbances else np.empty(0)
+        if past := running_past(loop):
+            for k, (u, y, measured, w) in enumerate(zip(past.u, past.y, past.measured, past.d, strict=True)):
+                time = (k - len(past)) * loop.sampling_time
+                before = w if self._w is None else self._w
+                self._filter.correct(self._signals(y, measured), self._u, before, time)
+                self._filter.predict(u, w, time)
+                self._u, self._w = u, w
         states = np.zeros((len(plant.start), self.horizon))
         inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
         self._guess, self._planned = (states, inputs), False
@@ -119,6 +131,11 @@ class NMPC(Exportable):
         """Set up the nonlinear program, in parts of nominal values: states first, then inputs."""
         ca = casadi()
         n, m, p, steps = len(plant.start), len(loop.inputs), len(loop.outputs), self.horizon
+        signals = [variable.name for variable in measured_signals(loop)]
+        self._in_band = [i for i in range(p) if signals[i] in loop.bands]
+        self._moving = [i for i in range(p) if signals[i] in loop.moving_limits]
+        self._inputs_move = any(variable.name in loop.moving_limits for variable in loop.inputs)
+        self._charged = bool(loop.charges and self.price_weight)
         q, r = weight_matrices(output_weight=(self.output_weight, p), change_weight=(self.change_weight, m))
         u_unit = np.abs([variable.nominal for variable in loop.inputs])
         y_unit = np.abs([variable.nominal for variable in loop.outputs])
@@ -132,20 +149,46 @@ class NMPC(Exportable):
                 "u": (m, 1),
                 "r": (p, steps),
                 "t": (1, 1),
+                "w": (len(loop.disturbances), steps),
+                "band": (2 * len(self._in_band), steps),
+                "limits": (2 * len(self._moving), steps),
+                "price": (len(loop.charges) if self._charged else 0, steps + 1),
             }.items()
         }
         x = ca.repmat(plant.start, 1, steps) + states * ca.repmat(plant.nominal, 1, steps)
         u = inputs * ca.repmat(u_unit, 1, steps)
         d, times = ca.repmat(known["d"], 1, steps), known["t"] + loop.sampling_time * ca.DM(range(steps)).T
         before = ca.horzcat(known["x"], x[:, :-1])
-        defects = (plant.advance.map(steps)(before, u, d, times) - x) / ca.repmat(plant.nominal, 1, steps)
-        y = plant.output.map(steps)(x, u, d, times + loop.sampling_time)[:p, :]
+        w = [known["w"]] if loop.disturbances else []
+        defects = (plant.advance.map(steps)(before, u, d, times, *w) - x) / ca.repmat(plant.nominal, 1, steps)
+        seen = plant.output.map(steps)(x, u, d, times + loop.sampling_time, *w)
+        y = seen[:p, :]
         errors = (y - known["r"]) / ca.repmat(y_unit, 1, steps)
+        if self._in_band:  # what follows a reference counts as it is, the rest where it is outside
+            followed = [i for i in range(p) if i not in self._in_band]
+            errors, q_followed = errors[followed, :], q[np.ix_(followed, followed)]
+        else:
+            q_followed = q
         changes = inputs - ca.horzcat(known["u"] / u_unit, inputs[:, :-1])
-        cost = ca.dot(errors, q @ errors) + ca.dot(changes, r @ changes)
+        cost = ca.dot(errors, q_followed @ errors) + ca.dot(changes, r @ changes)
+        edges = ca.vertsplit(known["band"]) if self._in_band else []
+        for i, low, high in zip(self._in_band, edges[::2], edges[1::2], strict=True):
+            cost += q[i, i] * _outside(ca, y[i, :] / y_unit[i], low / y_unit[i], high / y_unit[i])
+        moved = ca.vertsplit(known["limits"]) if self._moving else []
+        for i, low, high in zip(self._moving, moved[::2], moved[1::2], strict=True):
+            cost += _EXCEEDED * _outside(ca, y[i, :] / y_unit[i], low / y_unit[i], high / y_unit[i])
         for sign, limits in ((1.0, loop.bounds.y_max), (-1.0, loop.bounds.y_min)):
-            for i in np.flatnonzero(np.isfinite(limits)):
-                cost += _EXCEEDED * ca.sumsqr(ca.fmax(sign * (y[int(i), :] - limits[i]) / y_unit[i], 0.0))
+            for i in np.flatnonzero(np.isfinite(limits)).tolist():
+                if i not in self._moving:
+                    excess = ca.fmax(sign * (y[i, :] - limits[i]) / y_unit[i], 0.0)
+                    cost += _EXCEEDED * ca.sumsqr(excess)
+        for number, charge in enumerate(loop.charges if self._charged else ()):
+            amount, price = self.price_weight * charge.rate * loop.sampling_time, known["price"][number, :]
+            driven = [variable.name for variable in loop.inputs]
+            if charge.signal in driven:
+                cost += amount * ca.dot(price[:, :-1], u[driven.index(charge.signal), :])
+            elif charge.signal in signals:
+                cost += amount * ca.dot(price[:, 1:], seen[signals.index(charge.signal), :])
         self._low, self._high = (
             np.concatenate([np.full(n * steps, side), np.tile(bound / u_unit, steps)])
             for side, bound in ((-np.inf, loop.bounds.u_min), (np.inf, loop.bounds.u_max))
@@ -160,6 +203,7 @@ class NMPC(Exportable):
                 "tol": 1e-6,
                 "warm_start_init_point": "yes",
                 "mu_init": 1e-3,
+                **(_PRECISE if self._charged or self._in_band or loop.moving_limits else {}),
             },
         }
         program = {
@@ -177,24 +221,55 @@ class NMPC(Exportable):
     def step(self, sample: Sample) -> Action:
         """Return the first inputs of the optimal plan, shape (m,)."""
         signals = self._signals(sample.y, sample.measured)
-        self._filter.correct(signals, self._u, sample.time)
-        u, status, iterations = self._solve(sample)
-        self._filter.predict(u, sample.time)
-        self._u = u
+        now = self._disturbances(sample)
+        before = now[0] if self._w is None else self._w
+        self._filter.correct(signals, self._u, before, sample.time)
+        u, status, iterations = self._solve(sample, now)
+        self._filter.predict(u, now[0], sample.time)
+        self._u, self._w = u, now[0]
         missing = OK if np.isfinite(signals).all() else PREDICTED
         return Action(u.copy(), status or missing, {"iterations": iterations})
 
-    def _solve(self, sample: Sample) -> tuple[FloatArray, str, float]:
+    def _disturbances(self, sample: Sample) -> FloatArray:
+        """Return the known disturbances over the horizon, shape (N, n_w)."""
+        if self._w is not None and not self._w.size:
+            return np.empty((self.horizon, 0))
+        lasting = np.repeat(sample.disturbance[np.newaxis], self.horizon, axis=0)
+        if self.use_forecast:
+            lasting[1:] = sample.forecast[: self.horizon - 1]
+        return lasting
+
+    def _limits_now(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of states and inputs over the horizon."""
+        if not self._inputs_move:
+            return self._low, self._high
+        limits = sample.input_limits[: self.horizon] / self._u_unit[:, np.newaxis]
+        self._u_min, self._u_max = sample.input_limits[0].T
+        states = slice(0, len(self._low) - limits[..., 0].size)
+        return (
+            np.append(self._low[states], limits[..., 0].ravel()),
+            np.append(self._high[states], limits[..., 1].ravel()),
+        )
+
+    def _solve(self, sample: Sample, w: FloatArray) -> tuple[FloatArray, str, float]:
         """Return the next inputs, why they are not the optimum, and the iterations that they took."""
         if not np.isfinite(sample.reference).all():
             return self._u, HELD_WITHOUT_REFERENCE, 0.0
         states, inputs = self._guess
-        known = (self._filter.x, self._filter.d, self._u, sample.reference.ravel(), np.array([sample.time]))
+        known = [self._filter.x, self._filter.d, self._u, sample.reference.ravel(), np.array([sample.time])]
+        known.append(w.ravel())
+        if self._in_band:
+            known.append(np.clip(sample.band[:, self._in_band].ravel(), -_ENDLESS, _ENDLESS))
+        if self._moving:
+            known.append(np.clip(sample.output_limits[:, self._moving].ravel(), -_ENDLESS, _ENDLESS))
+        if self._charged:
+            known.append(sample.price[: self.horizon + 1].ravel())
+        low, high = self._limits_now(sample)
         solution = self._solver(
             x0=np.concatenate([states.ravel("F"), inputs.ravel("F")]),
             p=np.concatenate(known),
-            lbx=self._low,
-            ubx=self._high,
+            lbx=low,
+            ubx=high,
             lbg=0.0,
             ubg=0.0,
         )
@@ -231,7 +306,18 @@ class NMPC(Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""
         prior = f"everything: the equations, parameters and start values of {self._named}"
-        return prior_info(prior, loop.outputs, loop.measurements)
+        facts = prior_info(prior, loop.outputs, loop.measurements)
+        if loop.disturbances:
+            names = ", ".join(variable.name for variable in loop.disturbances)
+            facts["forecast"] = names if self.use_forecast else "measured only"
+        if self._charged:
+            facts["prices"] = ", ".join(charge.name for charge in loop.charges)
+        return facts
+
+
+def _outside(ca: Any, y: Any, low: Any, high: Any) -> Any:
+    """Return the squares of what is outside of two edges."""
+    return ca.sumsqr(ca.fmax(y - high, 0.0)) + ca.sumsqr(ca.fmax(low - y, 0.0))
 
 
 def _next(plan: FloatArray) -> FloatArray:

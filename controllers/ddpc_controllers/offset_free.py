@@ -99,7 +99,7 @@ class OffsetFree(SingleWrapper):
 
     def start(self, loop: Loop) -> None:
         """Start the controller; there is no disturbance yet."""
-        self._bounds = loop.bounds
+        self._bounds, self._banded = loop.bounds, bool(loop.bands)
         self._low, self._high = _just_within(loop.bounds)
         self._phi = float(np.exp(-loop.sampling_time / (self.response_time or 2.0 * loop.sampling_time)))
         self._gain = self.gain or min(_LARGEST_GAIN, 1.0 / max(1, self.horizon))
@@ -132,7 +132,11 @@ class OffsetFree(SingleWrapper):
         expected = self._phi * expected + (1.0 - self._phi) * shifted[target]
         # Without a reference nothing is expected of the next sample.
         self._expected = expected if np.isfinite(expected).all() else None
-        action = self._inner.step(sample._replace(reference=shifted[1:], setpoint=shifted[0]))
+        inside = sample._replace(reference=shifted[1:], setpoint=shifted[0])
+        if self._banded:
+            moved = self._disturbance[:, np.newaxis]
+            inside = inside._replace(band_now=sample.band_now - moved, band=sample.band - moved)
+        action = self._inner.step(inside)
         self._reachable = self._directions((action.u > self._low) & (action.u < self._high))
         return action
 

@@ -441,11 +441,8 @@ class PID(Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
         prior = "nothing" if self.tuning == "step-test" else "gains, as they are set"
-        if not loop.disturbances:
-            return prior_info(prior, loop.outputs)
-        if not self._forward:
-            return without_forecast(prior_info(prior, loop.outputs))
-        return without_forecast(prior_info(prior, loop.outputs, loop.disturbances))
+        fed_forward = loop.disturbances if self._forward else ()
+        return without_forecast(prior_info(prior, loop.outputs, fed_forward), loop)
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""

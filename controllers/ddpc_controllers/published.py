@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.dictionaries import Lift, ThinPlate
-from ddpc_controllers.data.hankel import hankel_matrix
+from ddpc_controllers.data.hankel import ONE, hankel_matrix
 from ddpc_controllers.deepc import DeePC, Regulariser
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.optimisation.condensing import condense
@@ -36,7 +36,8 @@ def padded_with_zeros(recording: Recording, samples: int) -> Recording:
     def pad(signal: FloatArray) -> FloatArray:
         return np.vstack([signal, np.zeros((samples, signal.shape[1]))])[samples:]
 
-    return Recording(pad(recording.u), pad(recording.y), recording.measured, recording.sampling_time)
+    u, y, d = map(pad, (recording.u, recording.y, recording.d))
+    return Recording(u, y, recording.measured, recording.sampling_time, d=d)
 
 
 @dataclass(kw_only=True)
@@ -68,7 +69,7 @@ class PublishedDeePC(DeePC):
 
     def _stack(self, recording: Recording) -> FloatArray:
         data = super()._stack(padded_with_zeros(recording, self.initial_length))
-        data[self._sum_rows(recording), self.horizon :] = 0.0
+        data[self._rows_of(ONE, recording), self.horizon :] = 0.0
         return data
 
 
@@ -125,6 +126,7 @@ class PublishedWKPC(WKPC):
         """Start from rest, but with the lifted memory of the recording."""
         self._resting = False
         self._parameters.fill("y_ini", sample.y)
+        self._outlook.begin(self._parameters, sample.disturbance / self._scales.d)
 
     def _append_state(self, state: FloatArray) -> None:
         """Do nothing: the lifted past is that of the memory."""

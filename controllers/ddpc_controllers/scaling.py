@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from ddpc_cosim import (
     setting,
 )
 
+ScaleAhead = Literal["there", "all", "none"]
 ScaleBy = Literal["nominal", "range", "none"]
 # A signal's largest value in parts of its scale. Beyond, a weight on it counts for nothing, or for all.
 _SMALLEST, _LARGEST = 1e-3, 1e3
@@ -48,8 +49,9 @@ class Scales:
     by : {"nominal", "range", "none"}
         What one unit of a scaled signal is: its nominal value; half its range, where it has none the nominal
         value; or its unit.
-    whole : bool
-        Scale all that a sample says; otherwise what there is in this loop, so that the rest costs no time.
+    ahead : {"there", "all", "none"}
+        What a sample says besides, disturbances, bands, limits that move: scale what there is in this loop,
+        so that the rest costs no time; all of it; or leave it in the units of the plant.
 
     Attributes
     ----------
@@ -64,14 +66,14 @@ class Scales:
         Every signal whose nominal value cannot be a scale.
     """
 
-    def __init__(self, loop: Loop, by: ScaleBy, whole: bool = False) -> None:
+    def __init__(self, loop: Loop, by: ScaleBy, ahead: ScaleAhead = "there") -> None:
         self.u, self.y, self.measured, self.d = scales = _scales_of(loop, by)
         self._by = by
         self._variables = loop.inputs, loop.outputs
         self._trivial = all(bool(np.all(scale == 1.0)) for scale in scales)
         self._limits_move = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
-        self._further = self._fields_of(loop, whole)
+        self._further = self._fields_of(loop, ahead)
         self.loop = loop if self._trivial else self._scaled(loop)
 
     def step(self, step: Callable[[Sample], FloatArray | Action], sample: Sample) -> FloatArray | Action:
@@ -158,7 +160,7 @@ class Scales:
         self._limits.hold(inputs)
         return inputs
 
-    def _fields_of(self, loop: Loop, whole: bool) -> tuple[tuple[str, FloatArray], ...]:
+    def _fields_of(self, loop: Loop, ahead: ScaleAhead) -> tuple[tuple[str, FloatArray], ...]:
         """Return what else a sample says, field by field, and its scale."""
         of_u, of_y = self.u[:, np.newaxis], self.y[:, np.newaxis]
         fields = [
@@ -166,7 +168,9 @@ class Scales:
             ((("band_now", of_y), ("band", of_y)), loop.bands),
             ((("input_limits", of_u), ("output_limits", of_y)), loop.moving_limits),
         ]
-        return tuple(field for pair, there in fields for field in pair if there or whole)
+        if ahead == "none":
+            return ()
+        return tuple(field for pair, there in fields for field in pair if there or ahead == "all")
 
     def _scaled(self, loop: Loop) -> Loop:
         bounds = loop.bounds
@@ -392,6 +396,7 @@ class ScaledSignals(Exportable):
         doc="what weighs 1: the signal's nominal value, half its range (else the nominal value), or its unit",
     )
     _judgement = Judgement()
+    _scales_ahead: ClassVar[ScaleAhead] = "there"
 
     def start(self, loop: Loop) -> None:
         """Start the method on the loop in scaled signals.
@@ -410,7 +415,7 @@ class ScaledSignals(Exportable):
         """Return the loop that the method sees, in the units of the plant; set its scales."""
         foresight = self if isinstance(self, Foresight) else None
         self._method_loop = Predicted(loop, foresight, self.uses_recording)
-        self._scales = Scales(self._method_loop.loop, self.scaling)
+        self._scales = Scales(self._method_loop.loop, self.scaling, self._scales_ahead)
         return self._method_loop.loop
 
     def _start_scaled(self) -> None:
@@ -499,7 +504,7 @@ class Scaled(SingleWrapper):
         CosimError
             The controller does not start.
         """
-        self._scales = Scales(loop, self.scale_by, whole=True)
+        self._scales = Scales(loop, self.scale_by, "all")
         self._start_inside(self._scales.loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:

@@ -20,7 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import per_signal, prior_info
+from ddpc_controllers.checks import per_signal, prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import HELD
@@ -103,11 +103,14 @@ class SPSA(Exportable):
             for of_pair, stream in zip(gains, streams, strict=True)
         ]
         self._rest = resting_input(loop)
+        if loop.past and not loop.continues_recording:
+            self._rest = loop.past.u[-1]
         self._u, self._bounds = self._rest.copy(), loop.bounds
+        self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("gains to begin with", loop.outputs)
+        return without_forecast(prior_info("gains to begin with", loop.outputs), loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return PID control with the gains that are being tried."""
@@ -119,7 +122,8 @@ class SPSA(Exportable):
         wanted = self._rest + [
             pair.step(e, y) for pair, e, y in zip(self._pairs, error.tolist(), sample.y.tolist(), strict=True)
         ]
-        u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
+        low, high = sample.input_limits[0].T if self._moving else (self._bounds.u_min, self._bounds.u_max)
+        u: FloatArray = np.clip(wanted, low, high)
         for pair, free in zip(self._pairs, (u == wanted).tolist(), strict=True):
             pair.settle(free)
         self._u = u

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, prior_info
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, c_lift, embed, memory_of
 from ddpc_controllers.data.hankel import (
     StateWindow,
@@ -19,6 +19,9 @@ from ddpc_controllers.data.hankel import (
     require_excitation,
     require_length,
     resting_input,
+    samples_before,
+    signals_of,
+    signals_that_move,
     without_first,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
@@ -27,10 +30,11 @@ from ddpc_controllers.export.code import Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
+from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
-from ddpc_controllers.scaling import ScaledSignals
+from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
     Action,
     Factor,
@@ -49,7 +53,7 @@ _KEPT_SMALL = 1e-3
 
 
 @dataclass(kw_only=True)
-class WKPC(OnlineSettings, ScaledSignals):
+class WKPC(OnlineSettings, Foresight, ScaledSignals):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
@@ -61,6 +65,7 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
+    _scales_ahead: ClassVar[ScaleAhead] = "none"
     former_settings: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("zero_padding", "double_shift"), "that is what wkpc-published does"
     )
@@ -113,14 +118,18 @@ class WKPC(OnlineSettings, ScaledSignals):
         m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
         self._inputs, self._outputs = m, p
         self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
-        self._parameters = ParameterVector(
-            {
-                "z_ini": (past, lifted.shape[1]),
-                "u_ini": (past, m),
-                "y_ini": (past, p),
-                "r": (self.horizon, p),
-            }
+        controlled = self._method_loop.controlled
+        units = self._scales.u, self._scales.y, self._scales.d
+        self._outlook = Outlook(
+            loop, self, self.horizon, past=past, first=0, controlled=controlled, units=units
         )
+        windows = {
+            "z_ini": (past, lifted.shape[1]),
+            "u_ini": (past, m),
+            "y_ini": (past, p),
+            "r": (self.horizon, p),
+        }
+        self._parameters = ParameterVector(windows | self._outlook.windows)
         self._data = self._stack(recording, lifted)
         spans = Span(self.horizon - 1, "horizon"), Span(past, "initial_length")
         test = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
@@ -130,7 +139,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._learner: Learner | None = None
         self._unlearned = 0
         if self.online_data != "frozen":
-            signals = {"z": lifted, "u": recording.u, "y": recording.y}
+            signals = {"z": lifted, **signals_of(recording)}
             self._learner = Learner(
                 self,
                 self._problem,
@@ -154,6 +163,9 @@ class WKPC(OnlineSettings, ScaledSignals):
                 return Action(parameters.window("u_ini")[-1].copy(), missing)
             self._rest(sample)
         parameters.fill("r", sample.reference)
+        self._outlook.fill(parameters, sample)
+        if self._outlook.moves_inputs:
+            self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
         u, forecast, fault = self._solve()
         if missing:
             y = fill_missing(y, forecast)
@@ -162,7 +174,8 @@ class WKPC(OnlineSettings, ScaledSignals):
         parameters.append("y_ini", y)
         self._append_state(self._last.take(measured))
         if self._learner:
-            self._learn(self._learner, u, y, bool(missing))
+            self._learn(self._learner, bool(missing), u=u, y=y, d=self._outlook.now(parameters))
+        self._outlook.advance(parameters)
         return action(u, fault or missing, self._info)
 
     def _solve(self) -> tuple[FloatArray, FloatArray, str]:
@@ -184,11 +197,13 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Append the lifted state to the past window."""
         self._parameters.append("z_ini", self._lift(self._states.append(state)))
 
-    def _learn(self, learner: Learner, u: FloatArray, y: FloatArray, missing: bool) -> None:
+    def _learn(self, learner: Learner, missing: bool, **signals: FloatArray) -> None:
         """Learn a sample, unless it, or the past of its state, has substitutes for missing measurements."""
         self._unlearned = self._memory + 1 if missing else max(self._unlearned - 1, 0)
         z = self._parameters.window("z_ini")[-1]
-        learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
+        if self._unlearned:
+            signals["y"] = np.full_like(signals["y"], np.nan)
+        learner.learn(z=z, **signals)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         code.kernel("wkpc")
@@ -233,7 +248,7 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return prior_info("nothing", loop.outputs, loop.measurements)
+        return self._facts("nothing", loop.outputs, loop.measurements)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
@@ -268,21 +283,22 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Return how windows are stacked: lifted past, and past and future of inputs and outputs."""
         past, horizon = self.initial_length, self.horizon
         pasts = [(name, 0, past) for name in ("z", "u", "y")]
-        return WindowLayout(*pasts, ("u", past, horizon), ("y", past, horizon))
+        return WindowLayout(*pasts, ("d", 0, past + horizon), ("u", past, horizon), ("y", past, horizon))
 
     def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
         """Return M."""
-        u, y = recording.u, recording.y
+        moved, disturbances = signals_that_move(recording), recording.d.shape[1]
         depth, order = self.initial_length + self.horizon, lifted.shape[1]
-        require_length(len(u), depth + order, u.shape[1], "WKPC", recording.seams)
-        stacked = self._layout.stack({"z": lifted, "u": u, "y": y}, recording.seams)
-        self._diagnostics = diagnose(stacked, u, depth + order, recording.seams)
-        require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC")
+        require_length(len(moved), depth + order, moved.shape[1], "WKPC", recording.seams, disturbances)
+        stacked = self._layout.stack({"z": lifted, **signals_of(recording)}, recording.seams)
+        self._diagnostics = diagnose(stacked, moved, depth + order, recording.seams)
+        require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC", disturbances)
         return stacked
 
     def _write_down(self, loop: Loop) -> Problem:
         """Write down (10) and (11)."""
-        past = {name: size for name, size in self._parameters.sizes.items() if name.endswith("_ini")}
+        sizes = self._parameters.sizes
+        past = {name: sizes[name] for name in ("z_ini", "u_ini", "y_ini", D) if name in sizes}
         settings = TrackingSettings(
             horizon=self.horizon,
             setpoint="input",
@@ -296,8 +312,9 @@ class WKPC(OnlineSettings, ScaledSignals):
             resting_input(loop),
             np.full(len(loop.inputs), np.inf),
             past,
-            self._parameters.sizes,
+            sizes,
             known={name: name for name in past},  # (10)
+            outlook=self._outlook,
         )
         if self.regulariser == "ridge":
             problem.regularise(self.lambda_g)
@@ -309,15 +326,25 @@ class WKPC(OnlineSettings, ScaledSignals):
         return problem
 
     def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
-        """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
-        self._resting = not loop.continues_recording
-        past = slice(-self.initial_length, None)
+        """Fill the past: with the samples before the first, or with rest as far as it is known yet."""
+        before, past = (
+            samples_before(loop, self.initial_length + self._memory),
+            slice(-self.initial_length, None),
+        )
+        self._resting: bool = before is None
+        if before is not None and not loop.continues_recording:
+            self._states = StateWindow(before.measured[-1 - self._memory :])
+            self._last.take(before.measured[-1])
+            lifted = self._lift(embed(before.measured, self._memory))
+        known = recording if before is None else before
         self._parameters.fill("z_ini", lifted[past])
-        self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
-        self._parameters.fill("y_ini", recording.y[past])
+        self._parameters.fill("u_ini", resting_input(loop) if before is None else before.u[past])
+        self._parameters.fill("y_ini", known.y[past])
+        self._outlook.begin(self._parameters, known.d[past])
 
     def _rest(self, sample: Sample) -> None:
         """Start as if the plant had always been where it is."""
         self._resting = False
         self._parameters.fill("y_ini", sample.y)
         self._parameters.fill("z_ini", self._lift(self._states.fill(sample.measured)))
+        self._outlook.begin(self._parameters, sample.disturbance / self._scales.d)

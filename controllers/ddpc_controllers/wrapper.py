@@ -159,7 +159,7 @@ class SingleWrapper(Wrapper):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        return self.controller.knowledge(loop)
+        return self._inner.controller.knowledge(loop)
 
     def _start_inside(self, loop: Loop) -> None:
         """Start a copy of the controller."""

@@ -10,6 +10,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TextIO
 
+from ddpc_cosim.durations import in_words
 from ddpc_cosim.texts import alike, printable
 
 if TYPE_CHECKING:  # which take a while to import themselves
@@ -64,7 +65,7 @@ class _Cases:
         if not self.done:
             return ""
         left = (monotonic() - self._began) / self.done * (self.total - self.done)
-        counts = f"{self.done}/{self.total} cases, {self.simulated:.0f} s simulated"
+        counts = f"{self.done}/{self.total} cases, {in_words(round(self.simulated))} simulated"
         return f"{counts}, {self.rate}, about {left:.0f} s left, "
 
     def running(self, most: int) -> list[str]:
@@ -162,7 +163,7 @@ class TerminalProgress:
             progress.BarColumn(),
             progress.MofNCompleteColumn(),
             progress.TextColumn("cases"),
-            progress.TextColumn("{task.fields[simulated]:.0f} s simulated {task.fields[rate]}"),
+            progress.TextColumn("{task.fields[simulated]} simulated {task.fields[rate]}"),
             since,
             progress.TimeRemainingColumn(),
         )
@@ -177,7 +178,7 @@ class TerminalProgress:
         console = Console(stderr=True)
         self._progress = WithCases(progress.SpinnerColumn(), since, what, console=console, transient=True)
         self._reported: set[tuple[str, str]] = set()
-        self._task = self._progress.add_task(printable(text), total=None, simulated=0.0, rate="")
+        self._task = self._progress.add_task(printable(text), total=None, simulated="0 s", rate="")
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -213,7 +214,7 @@ class TerminalProgress:
     def finished(self, case: "Case", result: "CaseResult") -> None:
         """Count a case, and keep a line about one that failed as no other did before."""
         self._cases.finished(case, result)
-        rate, simulated = self._cases.rate, self._cases.simulated
+        rate, simulated = self._cases.rate, in_words(round(self._cases.simulated))
         self._progress.update(self._task, advance=1, description="running", simulated=simulated, rate=rate)
         kind = result.outcome, alike(result.reason)
         if result.reason and kind not in self._reported:

@@ -16,6 +16,7 @@ from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    knowing_clause,
     lead_clause,
     ranks_differ_clause,
     too_few_seeds_clause,
@@ -182,7 +183,7 @@ def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int) -> Ta
 
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
     """Return the columns of one scenario, the most informative first."""
-    ranked, step = _headline(results, keys), _metric_column(_STEP)
+    ranked = _headline(results, keys)
     names = [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
     several = len({case.seed for case in results.cases}) > 1
@@ -191,7 +192,7 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
         for key in ranked
         if several
     ]
-    columns, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
+    columns, more = ([_metric_column(key, keys) for key in of_them] for of_them in (ranked, [*others, _STEP]))
     # With several outputs the ranges would leave no room for anything else.
     return [*columns, *spreads, *more] if len(ranked) == 1 else [*columns, *more, *spreads]
 
@@ -200,13 +201,16 @@ def _headline(results: StudyResults, keys: Sequence[str]) -> tuple[str, ...]:
     return headline(keys, results.study.metrics.ranking)
 
 
-def _metric_column(key: str) -> _Column:
+def _metric_column(key: str, keys: Sequence[str]) -> _Column:
+    """Return the column of a metric, one of several."""
+
     def cell(cases: Sequence[CaseResult]) -> Cell:
         value = summed(cases, key)
         failed = any(case.failed for case in cases)
         return Cell(_micro(value) if key == _STEP else _number(value), failed=failed)
 
-    return _Column(Heading(metric_name(key), "" if key == _STEP else _detail(key)), _words(key), key, cell)
+    heading = Heading(metric_name(key, keys), "" if key == _STEP else _detail(key))
+    return _Column(heading, _words(key, keys), key, cell)
 
 
 def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
@@ -237,8 +241,8 @@ def _scenario_label(results: StudyResults, name: str) -> str:
     return clipped((section.label if section else "") or name, _LONGEST_LABEL)
 
 
-def _words(key: str) -> str:
-    return printable(" of ".join(filter(None, (metric_name(key), split_key(key)[1]))))
+def _words(key: str, keys: Sequence[str]) -> str:
+    return printable(" of ".join(filter(None, (metric_name(key, keys), split_key(key)[1]))))
 
 
 def _detail(key: str) -> str:
@@ -256,9 +260,11 @@ def _title(results: StudyResults) -> str:
 def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> list[str]:
     """Return the lines below the table."""
     lines, ranking = [], findings.standings
-    keys = _headline(results, tuple(dict.fromkeys(key for case in results.cases for key in case.metrics)))
+    every = tuple(dict.fromkeys(key for case in results.cases for key in case.metrics))
+    keys = _headline(results, every)
     what = dict.fromkeys(
-        f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
+        f"{_words(key, every)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key, every)
+        for key in keys
     )
     several = len({case.seed for case in results.cases}) > 1
     how = "what the seeds tell apart" if ranking.tested else "the medians" if several else "this value"
@@ -268,6 +274,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
     if findings.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
         names = {row.cases[0].controller: _in_a_sentence(row.name) for row in rows if row.cases}
         scenarios = {case.scenario: _scenario_label(results, case.scenario) for case in results.cases}
+        if worth := knowing_clause(findings.knowing, names, scenarios):
+            lines.append(worth.striptags())
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)

@@ -16,6 +16,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ddpc_cosim.description import PlantSignal, choose_signals
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
@@ -413,7 +414,7 @@ class FMUSession:
             self._abandon()
         elif error.code != DISCARD:
             self._may_terminate = False
-        return FMUStepError(f"{self.fmu.label}: {error} at t = {time:g} s{details}", error.status, time)
+        return FMUStepError(f"{self.fmu.label}: {error} at t = {shown(time)}{details}", error.status, time)
 
     def _abandon(self) -> None:
         """Let go of an instance that no function may be called on any more (FMI: status fatal)."""

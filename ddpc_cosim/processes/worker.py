@@ -23,6 +23,7 @@ from time import monotonic
 from typing import Any
 
 from ddpc_cosim import errors
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
 from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.fork_server import (
@@ -215,7 +216,7 @@ def _error(name: str, arguments: list[Any]) -> CosimError | UnexpectedError:
 
 def lost(who: str, call: str, time: float, end: ExitStatus, seconds: float | None = None) -> FMUStepError:
     """Return the error for a call in a worker that crashed, or did not return within so many seconds."""
-    place = f"in {_PHASES.get(call, call)}" + (f" at t = {time:g} s" if math.isfinite(time) else "")
+    place = f"in {_PHASES.get(call, call)}" + (f" at t = {shown(time)}" if math.isfinite(time) else "")
     if seconds is None:
         return FMUStepError(f"{who}: crashed {place}: {end}", StepStatus.CRASHED, time)
     return FMUStepError(

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from ddpc_cosim.codec import InvalidFieldError, independent
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes
+from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, DataError, Place
-from ddpc_cosim.signals import Constant, Reference, SignalFromFile, WhiteNoise
+from ddpc_cosim.signals import Reference, SignalFromFile
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 
@@ -194,7 +194,10 @@ class Disturbances:
         for name in self.of_inputs:
             own = self.signals.get(name)
             signals = [inputs.get(name, own) for inputs in said.values()]
-            is_same = any(signal == recorded.get(name, signal) and _is_telling(signal) for signal in signals)
+            is_same = any(
+                signal is not None and signal == recorded.get(name, signal) and is_foretelling(signal)
+                for signal in signals
+            )
             if is_same:
                 remedy = f"begin it at {in_words(loop.start_time - (end - begin))} or before, or give "
                 remedy += f"recording.disturbances.{name}"
@@ -202,13 +205,10 @@ class Disturbances:
                 self.errors.add(("recording", "start_time"), what, ("loop", "start_time"))
 
 
-def _is_telling(signal: Reference | None) -> bool:
-    """Whether a signal in the experiment tells what it is in the run: it is neither random nor constant."""
-    return signal is not None and not isinstance(signal, Constant | WhiteNoise)
-
-
 def check_reach(selected: SelectedSignals, place: Place, signal: object, first: float, last: float) -> None:
-    """Report a signal from a file that does not tell it from one time to another [s]."""
+    """Report a signal from a file, or with one, that does not tell it from one time to another [s]."""
+    for i, part in enumerate(getattr(signal, "parts", ())):
+        check_reach(selected, (*place, "parts", i), part, first, last)
     if not isinstance(signal, SignalFromFile) or (*place, "file") in selected.errors.found:
         return
     try:

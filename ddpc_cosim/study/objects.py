@@ -17,6 +17,7 @@ from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
 from ddpc_cosim.durations import seconds_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation, sampling_faults
+from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
@@ -227,8 +228,9 @@ class Problem:
         Start where the experiment ended instead of from rest.
     cost : mapping of str to mapping of str to float
         Weights of the quadratic cost that controllers are ranked by: ``outputs``, ``inputs``, ``changes``.
-    ranking : {"error", "money", "pareto"}
-        What controllers are ranked by: errors or the cost, money, or both side by side.
+    ranking : {"error", "money", "pareto"}, optional
+        What controllers are ranked by: errors or the cost, money, or money and discomfort both; default: the
+        last where there are prices, else the first.
     relevant : mapping of str to float, or to mapping of str to float
         The smallest difference of what is ranked by that matters: ``absolute``, of several outputs one for
         each, and ``percent`` of the best figure or of the task. Default: 1 %.
@@ -293,7 +295,7 @@ class Problem:
     continue_recording: bool = False
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     relevant: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
-    ranking: Literal["error", "money", "pareto"] = "error"
+    ranking: Ranking | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     switches: Mapping[str, str] = field(default_factory=dict)

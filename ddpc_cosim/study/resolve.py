@@ -255,6 +255,7 @@ class _Resolution:
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
+        self._check_ranking()
         self._check_relevant()
         self._check_claims()
         self.references = self._references()
@@ -580,19 +581,30 @@ class _Resolution:
                 self.errors.require_known((*place, key), "input", getattr(cost, key), self.inputs.names)
 
     @independent
+    def _check_ranking(self) -> None:
+        ranking = self.study.metrics.ranking
+        if ranking in ("money", "pareto") and not self.study.prices:
+            self.errors.add(("metrics", "ranking"), f'"{ranking}" needs prices', ("prices",))
+
+    @independent
     def _check_relevant(self) -> None:
         relevant, place = self.study.metrics.relevant, ("metrics", "relevant", "absolute")
         absolute = relevant.absolute if relevant else None
+        ranking, cost = self.study.metrics.ranking, self.study.metrics.cost
+        paid = bool(self.study.prices) and ranking != "error" and not cost
         if isinstance(absolute, Mapping):
-            if self.study.metrics.cost:
+            if cost:
                 self.errors.add(place, "must be a number, as controllers are ranked by metrics.cost")
             else:
-                self.errors.require_known(place, "controlled output", absolute, self.outputs.names)
-        elif absolute is not None and not self.study.metrics.cost and self.outputs.is_known:
+                what = "controlled output, or money," if paid else "controlled output"
+                self.errors.require_known(place, what, absolute, [*self.outputs.names, *["money"] * paid])
+        elif absolute is not None and not cost and ranking != "money" and self.outputs.is_known:
             names = dict.fromkeys(self.outputs.names)  # one that is listed twice is one
-            if len(names) > 1:
-                needed = f"needed: one for each, e.g. {{ {self.outputs.names[0]} = {absolute:g} }}"
-                self.errors.add(place, f"one number for {len(names)} controlled outputs; {needed}")
+            if len(names) > 1 or paid:
+                of_money = f"money = {absolute:g}, " if paid else ""
+                needed = f"needed: one for each, e.g. {{ {of_money}{self.outputs.names[0]} = {absolute:g} }}"
+                ranked_by = "money and discomfort" if paid else f"{len(names)} controlled outputs"
+                self.errors.add(place, f"one number for {ranked_by}; {needed}")
 
     @independent
     def _references(self) -> dict[str, Reference | Band] | None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from ddpc_cosim.codec import Section, declared_fields, independent
 from ddpc_cosim.conditions import Conditions, all_conditions, may_have
+from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
@@ -128,7 +129,7 @@ class Scenarios:
         elif key != "to_time":
             check_value(self.errors, at, value, tunable.get(drift.parameter))
         elif value <= self.study.loop.start_time:
-            start = f"t = {self.study.loop.start_time:g} s"
+            start = f"t = {shown(self.study.loop.start_time)}"
             over = f"it would be over when the run starts at {start}; use the scenario's parameters"
             self.errors.add(at, over, ("loop", "start_time"))
 

@@ -17,6 +17,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     failed_runs,
     italic,
     join_words,
+    knowing_clause,
     not_counted_sentence,
     ranks_differ_clause,
     sentence,
@@ -64,6 +65,8 @@ class Overall:
         How far the controllers come between the reference points; None where there are none.
     chosen : dict of str to str
         By controller, which kinds tuning chose, and in how many problems; numbers are left out.
+    worth : list of Markup
+        Of each problem where it is known, what knowing the disturbances is worth.
     """
 
     findings: OverallFindings
@@ -72,6 +75,7 @@ class Overall:
     labels: dict[str, str]
     distances: Distances | None
     chosen: dict[str, str]
+    worth: list[Markup]
 
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
@@ -80,11 +84,15 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     if findings is None:
         return None
     members: dict[str, ControllerResults] = {}
-    left_out = []
-    for results, ranking in zip(problems, findings.standings, strict=True):
+    left_out, worth = [], list[Markup]()
+    for results, ranking, known in zip(problems, findings.standings, findings.knowing, strict=True):
         everywhere = conditions(results)
         for member in (member for condition in everywhere for member in condition.controllers):
             members.setdefault(member.key, member)
+        of_problem = {c.key: c.label for condition in everywhere for c in condition.controllers}
+        scenarios = {condition.scenario: condition.label for condition in everywhere}
+        if said := knowing_clause(known, of_problem, scenarios):
+            worth.append(Markup("{}: {}.").format(results.study.title or results.study.name, said))
         unseen = [condition for condition in everywhere if condition.scenario in ranking.left_out]
         of_scenarios = [f"{results.study.name}: {condition.label}" for condition in unseen]
         left_out += (
@@ -95,7 +103,7 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda controller: controller.is_point)])
     labels = {key: member.label for key, member in members.items()}
     chosen = chosen_kinds([results.study for results in problems])
-    return Overall(findings, left_out, shown, labels, far, chosen)
+    return Overall(findings, left_out, shown, labels, far, chosen, worth)
 
 
 def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
@@ -130,7 +138,7 @@ def overall_answer(comparison: Overall) -> Markup:
     text = _best_rank(ranks, comparison.labels)
     if ranks.p <= LEVEL:
         text += f"; {ranks_differ_clause(ranks, lambda rank: significant(rank, 2))}"
-    text += "."
+    text = Markup(" ").join([*comparison.worth, text + "."])
     if comparison.distances and (share := comparison.distances.overall.get(first.key)):
         points = names([controller for controller in comparison.distances.controllers if controller.is_point])
         text += Markup(" It comes {}{} of the way between {}.").format(

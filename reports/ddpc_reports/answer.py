@@ -13,6 +13,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     failed_runs,
     italic,
     join_words,
+    knowing_clause,
     lead_clause,
     not_counted_sentence,
     over_words,
@@ -57,7 +58,9 @@ def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings)
         offer.controller: _offer_words(offer, who, findings.leaders, counting)
         for offer in offers_of(results.study, results.cases, findings)
     }
+    worth = knowing_clause(findings.knowing, labels, scenarios)
     parts = [
+        sentence(worth) + "." if worth else "",
         sentence(clause) + _details(findings, who, offers) + ".",
         untested_sentence(findings),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."
@@ -85,7 +88,7 @@ def _details(
     if findings.lead in (Lead.LEVEL, Lead.ALIKE):
         return ": " + _of_leaders(findings, [who[name] for name in findings.leaders[:_NAMED]])
     first = findings.leaders[0]
-    text = ": " + _values(ranking, first)
+    text = ": " + _values(ranking, who[first])
     if findings.lead is Lead.ONLY_ONE:
         return text + f" {over_words(ranking)}"
     if findings.following and findings.following not in offers and findings.lead is not Lead.ONLY_SOUND:
@@ -97,7 +100,7 @@ def _details(
 def _both(ranking: Standings, who: dict[str, ControllerResults], first: str, other: str) -> Markup:
     """Write money and discomfort of the first and of the one that it is compared with."""
     return Markup("{}, against {} of <i>{}</i>").format(
-        _values(ranking, first), _values(ranking, other, brief=True), who[other].label
+        _values(ranking, who[first]), _values(ranking, who[other], brief=True), who[other].label
     )
 
 
@@ -106,14 +109,13 @@ def _of_leaders(findings: Findings, shown: Sequence[ControllerResults]) -> Marku
     ranking = findings.standings
     if len(ranking.keys) > 1 or len(findings.leaders) == 1:
         values = [
-            italic(controller.label) + " " + _values(ranking, controller.key, brief=True)
-            for controller in shown
+            italic(controller.label) + " " + _values(ranking, controller, brief=True) for controller in shown
         ]
         return Markup("; ").join(values)
     key = ranking.keys[0]
     show = formatter(key, 3)
     medians = join_words([show(ranking.samples[key][controller.key].median) for controller in shown])
-    text = Markup("{} {}").format(metric_name(key), medians)
+    text = Markup("{} {}").format(metric_name(key, shown[0].cases[0].metrics), medians)
     if not ranking.tested:
         return text
     if findings.lead is Lead.ALIKE:
@@ -130,16 +132,16 @@ def _why_alike(difference: Difference) -> str:
     return f" (corrected p {p_words(difference.corrected)})" if difference.low * difference.high > 0 else ""
 
 
-def _values(ranking: Standings, name: str, *, brief: bool = False) -> Markup:
+def _values(ranking: Standings, controller: ControllerResults, *, brief: bool = False) -> Markup:
     """Write the medians of a controller by which it is ranked, with intervals unless brief."""
-    parts = []
+    parts, several = [], len(ranking.discomforts or ranking.keys) > 1
     for key in dict.fromkeys((*ranking.keys, *ranking.discomforts)):
-        sample = ranking.samples[key][name]
+        sample = ranking.samples[key][controller.key]
         interval = "" if brief else _ends(sample.low, sample.high, key)
-        signal = metric_signal(key) if len(ranking.keys) > 1 else ""
+        signal = metric_signal(key) if several else ""
         of = f" of {signal}" if signal else ""
         parts.append(f"{with_unit(significant(sample.median, 3), metric_unit(key))}{interval}{of}")
-    what = "" if brief else f"{metric_name(ranking.keys[0])} "
+    what = "" if brief else f"{metric_name(ranking.keys[0], controller.cases[0].metrics)} "
     return Markup("{}{}").format(what, join_words(parts))
 
 

@@ -81,7 +81,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
         [_ahead(difference) for difference in differences],
         [Cell(letters.get(controller.key, MISSING)) for controller in order],
     ]
-    group = " / ".join(filter(None, (metric_words(key), unit)))
+    group = " / ".join(filter(None, (metric_words(key, condition.every_key), unit)))
     return [
         Row(controller.label, tuple(column[i] for column in cells), controller.key, controller.index, group)
         for i, controller in enumerate(order)

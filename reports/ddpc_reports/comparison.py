@@ -176,7 +176,8 @@ class Condition:
         return self.findings.standings
 
     @cached_property
-    def _keys(self) -> tuple[str, ...]:
+    def every_key(self) -> tuple[str, ...]:
+        """The keys of all metrics of the cases."""
         everyone = (*self.controllers, *self.variants)
         cases = (case for controller in everyone for case in controller.cases)
         return tuple(dict.fromkeys(key for case in cases for key in case.metrics))
@@ -190,11 +191,15 @@ class Condition:
     @property
     def headline(self) -> tuple[str, ...]:
         """The keys that controllers are ranked by."""
-        return headline(self._keys, self.results.study.metrics.ranking)
+        return headline(self.every_key, self.results.study.metrics.ranking)
+
+    def name_of(self, key: str) -> str:
+        """Return what a metric is called here: of an output with a band, errors are distances to it."""
+        return metric_name(key, self.every_key)
 
     def keys(self, name: str) -> tuple[str, ...]:
         """Return the keys of a metric: one for each signal that has it."""
-        return tuple(key for key in self._keys if split_key(key)[0] == name)
+        return tuple(key for key in self.every_key if split_key(key)[0] == name)
 
     @cached_property
     def by_key(self) -> dict[str, ControllerResults]:
@@ -350,9 +355,9 @@ def metric_signal(key: str) -> str:
     return clipped(split_key(key)[1].replace("_", " "))
 
 
-def metric_words(key: str) -> str:
-    """Return the name of a metric and of the signal that it is about."""
-    return " of ".join(filter(None, (metric_name(key), metric_signal(key))))
+def metric_words(key: str, keys: Iterable[str] = ()) -> str:
+    """Return the name of a metric, among the keys of its run, and of the signal that it is about."""
+    return " of ".join(filter(None, (metric_name(key, keys), metric_signal(key))))
 
 
 def ranked(

@@ -53,6 +53,8 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
     topics = {
         "Preview": _by_scenario(conditions, _preview),
         "Measurements": [_measurements(first)],
+        "Disturbances": _by_scenario(conditions, _disturbances) if results.study.disturbances else [],
+        "Prices": [_prices(first)] if results.study.prices else [],
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),
         "Prior knowledge": [
@@ -107,6 +109,73 @@ def _measurements(first: Condition) -> _Terms:
 def _used(controller: ControllerResults, trace: Trace | None) -> _Fact:
     measures = trace.knowledge.get("measures", "") if trace else ""
     return _Fact(f"uses {measures}", f"use {measures}") if measures else _NOT_KNOWN
+
+
+_FORECASTS = {
+    "unknown": "nothing",
+    "measured": "what is measured",
+    "low": "what is measured, and forecasts with low errors",
+    "medium": "what is measured, and forecasts with medium errors",
+    "high": "what is measured, and forecasts with high errors",
+    "perfect": "what is measured, and what it will be",
+}
+"""What is known of a disturbance."""
+
+
+def _disturbances(condition: Condition) -> _Terms:
+    """Say what is known of each disturbance in a scenario, and who uses forecasts."""
+    study = condition.results.study
+    changes = study.scenarios[condition.scenario].known if condition.scenario in study.scenarios else {}
+    by_words: dict[str, list[Markup]] = {}
+    for name, disturbance in study.disturbances.items():
+        words = _FORECASTS[changes.get(name, disturbance.known)]
+        if disturbance.forecast is not None and name not in changes:
+            words = "what is measured, and forecasts from a file"
+        is_late = disturbance.lag and words != _FORECASTS["unknown"]
+        late = f", {counted(disturbance.lag, 'sample')} late" if is_late else ""
+        by_words.setdefault(words + late, []).append(italic(clipped(name)))
+    parts = [Markup("of {}: {}").format(join_words(names_of), words) for words, names_of in by_words.items()]
+    text = Markup("Known {}.").format(Markup("; ").join(parts))
+    if {*by_words} == {_FORECASTS["unknown"]}:
+        return _Terms(text, alike=True)
+    used = _sentence(condition, partial(_told, "forecast", _forecast_used), "whether forecasts are used")
+    return used._replace(text=text + " " + used.text)
+
+
+def _prices(first: Condition) -> _Terms:
+    """Say whether prices are known ahead, and who uses them."""
+    prices = first.results.study.prices
+    ahead = [italic(clipped(name)) for name, price in prices.items() if price.known]
+    now = [italic(clipped(name)) for name, price in prices.items() if not price.known]
+    parts = [
+        *([Markup("Known ahead: {}").format(join_words(ahead))] if ahead else []),
+        *([Markup("Known when they are paid: {}").format(join_words(now))] if now else []),
+    ]
+    used = _sentence(first, partial(_told, "prices", _prices_used), "whether prices are used")
+    return used._replace(text=Markup(". ").join(parts) + ". " + used.text)
+
+
+def _told(
+    key: str, words: Callable[[str], _Fact], controller: ControllerResults, trace: Trace | None
+) -> _Fact:
+    """Return what a controller says of a kind of knowledge; who says what it goes by uses no more."""
+    if trace is None or not trace.knowledge:
+        return _NOT_KNOWN
+    return words(without_folders(trace.knowledge.get(key, "")))
+
+
+def _forecast_used(told: str) -> _Fact:
+    if told == "measured only":
+        what = "what is measured of disturbances, and no forecast"
+        return _Fact(f"uses {what}", f"use {what}")
+    if told in ("", "not used"):
+        return _Fact("uses no forecast", "use no forecast")
+    return _Fact(f"uses the forecast of {told}", f"use the forecast of {told}")
+
+
+def _prices_used(told: str) -> _Fact:
+    what = f"the price of {told}" if told else "no price"
+    return _Fact(f"uses {what}", f"use {what}")
 
 
 def _limits(first: Condition) -> _Terms:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
 
-from ddpc_cosim.texts import clipped
+from ddpc_cosim.texts import clipped, in_words
 
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
@@ -39,7 +39,13 @@ def unit_symbol(unit: str) -> str:
 
 
 def difference_symbol(unit: str) -> str:
-    """Return the symbol for a difference of two values: of temperatures in degC, it is in K."""
+    """Return the symbol for a difference of two values: of temperatures in degC, it is in K.
+
+    So it is of a difference times a time.
+    """
+    difference, point, time = unit.rpartition(".")
+    if point and difference in _DIFFERENCES and time in ("s", "h"):
+        return f"{_DIFFERENCES[difference]}\u00b7{time}"
     return _DIFFERENCES.get(unit) or unit_symbol(unit)
 
 
@@ -138,10 +144,19 @@ def time_scale(seconds: Iterable[float]) -> Scale:
 
 
 def given_duration(seconds: float) -> str:
-    """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``5 s``."""
+    """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``15 min``."""
+    if seconds >= 60:
+        return given_time(seconds)
     scale = time_scale([seconds])
     # Fifteen digits hide the rounding of the product.
     return with_unit(as_given(float(f"{seconds * scale.factor:.15g}")), scale.unit)
+
+
+def given_time(seconds: float) -> str:
+    """Write a time of a run that was given, with its own digits: ``0.1 s``, ``1 h 30 min``, ``14 d``."""
+    return (
+        with_unit(as_given(seconds), "s") if abs(seconds) < 60 else in_words(seconds).replace(" ", "\u00a0")
+    )
 
 
 def duration(seconds: float) -> str:

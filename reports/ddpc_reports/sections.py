@@ -30,9 +30,9 @@ from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
-from ddpc_reports.figures.clock import time_words
 from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
+from ddpc_reports.numbers import given_time
 from ddpc_reports.sensitivity import (
     effects_table,
     sensitivity_figures,
@@ -589,8 +589,8 @@ def _facts(results: StudyResults) -> dict[str, str]:
     study = results.study
     facts = {
         "Plant": clipped(study.plant.label),
-        "Sampling time": time_words(study.loop.sampling_time),
-        "Duration": time_words(study.loop.duration),
+        "Sampling time": given_time(study.loop.sampling_time),
+        "Duration": given_time(study.loop.duration),
         "Controllers": _controllers_words(results),
         "Scenarios": str(len({case.scenario for case in results.cases})),
         **_counts(results),

@@ -12,12 +12,12 @@ from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.embedding import drawing, pack, stylesheet
-from ddpc_reports.figures.clock import SECONDS, clock_for, time_words
+from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
 from ddpc_reports.figures.signal import Column, Signal, rounded, times
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
-from ddpc_reports.numbers import significant, unit_symbol
+from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
 
@@ -51,7 +51,7 @@ def simulation_page(simulation: Simulation) -> str:
     ended = [] if simulation.completed else [f"{simulation.outcome}: {simulation.reason}"]
     facts = {
         "Samples": f"{len(simulation.time)} of {simulation.planned_samples}",
-        "Sampling time": time_words(simulation.sampling_time),
+        "Sampling time": given_time(simulation.sampling_time),
         "Outcome": simulation.outcome,
     }
     title = f"Simulation of {simulation.plant}"

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
-from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.verdicts.sentences import (
     ahead_in_pairs_clause,
     bold,
@@ -140,7 +140,7 @@ def _times(condition: Condition) -> Markup:
         text = Markup("{}{} is fastest: {} {}{}; slowest is <i>{}</i> with {}. ").format(
             _among(condition),
             _first(condition, key, winner),
-            metric_name(key),
+            condition.name_of(key),
             duration(best),
             _unsure_words(condition, key),
             last.label,
@@ -216,19 +216,27 @@ def tracking(condition: Condition) -> list[Statement]:
 
 def _is_cost(key: str) -> bool:
     """Whether controllers are ranked by a cost: it may weigh inputs too, and is not a tracking error."""
-    return split_key(key)[0] == "cost"
+    return split_key(key)[0] in ("cost", "money")
 
 
 def _topic(key: str) -> str:
     return "Cost" if _is_cost(key) else "Tracking"
 
 
+def _signal(condition: Condition, key: str, keys: Sequence[str]) -> str:
+    """Return the signal of one of several figures; where they are not of the same kind, what it is of it."""
+    if len({split_key(other)[0] for other in keys}) == 1:
+        return metric_signal(key)
+    return " of ".join(filter(None, (condition.name_of(key), metric_signal(key))))
+
+
 def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> Statement:
     """State in short who is first, next and last for each of several signals."""
     seeds = len(condition.seeds)
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
-    lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
-    text = Markup("In {}{}:").format(metric_name(keys[0]), over) + by_signal(lines)
+    lines = [(_signal(condition, key, keys), _in_short(condition, key)) for key in keys]
+    what = " and ".join(dict.fromkeys(condition.name_of(key) for key in keys))
+    text = Markup("In {}{}:").format(what, over) + by_signal(lines)
     return Statement(topic, text + _too_few_seeds([condition], keys))
 
 
@@ -298,7 +306,7 @@ def least_travel(condition: Condition) -> list[Statement]:
         return statements
     show = formatter(costs[0], 3)
     text = Markup(" Its {} is far from the best, though: {} against {}.").format(
-        metric_name(costs[0]), show(cost), show(tracks[0][0])
+        condition.name_of(costs[0]), show(cost), show(tracks[0][0])
     )
     return [Statement(topic, travel + text) for topic, travel in statements]
 
@@ -311,7 +319,7 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     if not order:
         return Markup("Every run on seed {} failed.").format(seed)
     show = formatter(key)
-    what = metric_name(key)
+    what = condition.name_of(key)
     if len(order) == 1:
         alone = "every other run failed: there is nothing to" if others else "there is no other controller to"
         return Markup("On seed {}, <b>{}</b> reaches a {} of {}; {} compare with.").format(
@@ -438,7 +446,7 @@ def _leader(
 ) -> Markup:
     show = formatter(key, 3)
     (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
-    what = metric_name(key) + (" (median of the seeds)" if len(condition.seeds) > 1 else "")
+    what = condition.name_of(key) + (" (median of the seeds)" if len(condition.seeds) > 1 else "")
     if show(best) == show(second):
         alike = _alike(order, show)
         return Markup("{} share the smallest {}: {}.").format(join_words(names(alike)), what, show(best))
@@ -487,11 +495,8 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
     """Return who tracks best in which scenario; nothing for a single one."""
     if len(conditions) < 2:
         return []
-    lines = [
-        (metric_signal(key), _winners(conditions, key))
-        for key in dict.fromkeys(key for condition in conditions for key in condition.headline)
-    ]
-    keys = [key for condition in conditions for key in condition.headline]
+    keys = [*dict.fromkeys(key for condition in conditions for key in condition.headline)]
+    lines = [(_signal(conditions[0], key, keys), _winners(conditions, key)) for key in keys]
     return [Statement(_topic(keys[0]), by_signal(lines))] if lines else []
 
 
@@ -510,7 +515,7 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     parts: list[Markup] = []
     for winners, where in won.items():
         verb = "share" if len(winners) > 1 else "has"
-        claim = "" if parts else f" {verb} the smallest {metric_name(key)}"
+        claim = "" if parts else f" {verb} the smallest {conditions[0].name_of(key)}"
         who = join_words([bold(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
     among = ", of those without a failed run there" if some_failed else ""

@@ -27,3 +27,17 @@ def _model(equations: object) -> PlantModel:
 
 
 REFERENCE, FUNCTIONS = _model(reference_plant), _model(every_function)
+
+
+def disturbed_plant(v: Symbols) -> Equations:
+    """Two lags, the second one with what disturbs it."""
+    return Equations({"y1": v.u1 + 0.5 * v.y2 - v.y1 + 0.6 * v.sun, "y2": 0.4 * v.u1 - 1.5 * v.y2 + v.wind})
+
+
+DISTURBED = PlantModel(
+    name="disturbed_plant",
+    equations=disturbed_plant,
+    states=(Variable("y1"), Variable("y2")),
+    inputs=(Variable("u1", min=-1.0, max=1.0), Variable("sun"), Variable("wind")),
+    outputs=(Variable("y1"), Variable("y2")),
+)

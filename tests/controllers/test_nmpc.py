@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import sympy
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 from studies import run_file, study_text, write
 
 from ddpc_controllers import NMPC, Idle
@@ -19,6 +19,7 @@ from ddpc_controllers.models.plant_equations import PlantEquations, find_model
 from ddpc_cosim import (
     OK,
     Bounds,
+    Charge,
     ConfigError,
     FMUPlant,
     Loop,
@@ -34,7 +35,7 @@ from fmu_plants import build_fmu
 from fmu_plants.equations import resolve
 
 from .loops import ANGLE, DEGREE, close_loop, pendulum, pendulum_loop, quick_pendulum
-from .plant_models import FUNCTIONS
+from .plant_models import DISTURBED, FUNCTIONS
 
 PENDULUM = {
     "inputs": (Variable("torque"),),
@@ -338,3 +339,93 @@ def test_the_equations_that_it_is_given_decide_the_id_of_its_cases(tmp_path: Pat
     (tmp_path / "other.py").write_text(LAG.format(name="other").replace("- v.x", "- 3 * v.x"))
     changed = run_lag(tmp_path, "lag_of_a_file.py:MODEL", model="other.py:MODEL")
     assert len({case.id for case in (first, other, changed)}) == 3
+
+
+def disturbed_loop(**changes: Any) -> Loop:
+    """The loop of a linear plant whose second state is paid for, and not controlled."""
+    u1, *disturbances = DISTURBED.inputs
+    y1, y2 = DISTURBED.outputs
+    bounds = Bounds(np.array([-0.9]), np.array([0.9]), np.array([-np.inf]), np.array([np.inf]))
+    base = loop_of(inputs=(u1,), outputs=(y1,), measurements=(y1, y2), bounds=bounds)
+    return replace(base, disturbances=tuple(disturbances), **changes)
+
+
+def sampled(loop: Loop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B and E of the linear plant, by the Runge-Kutta steps that the method takes."""
+    a = np.array([[-1.0, 0.5], [0.0, -1.5]])
+    forced = np.array([[1.0, 0.6, 0.0], [0.4, 0.0, 1.0]])
+    h = loop.sampling_time / 2
+    powers = [np.eye(2), h * a, (h * a) @ (h * a) / 2, np.linalg.matrix_power(h * a, 3) / 6]
+    step = sum(powers) + np.linalg.matrix_power(h * a, 4) / 24
+    driven = h * (np.eye(2) + h * a / 2 + h**2 * a @ a / 6 + h**3 * a @ a @ a / 24) @ forced
+    whole = step @ driven + driven
+    return step @ step, whole[:, :1], whole[:, 1:]
+
+
+@pytest.mark.parametrize("use_forecast", [True, False])
+def test_with_everything_known_its_inputs_are_those_of_the_whole_problem(use_forecast: bool) -> None:
+    """Disturbances, a band, input limits that move, prices of the input and of the second state.
+
+    What a band costs, max(0, y - h)^2 + max(0, l - y)^2, is the least of (y - v)^2 over l <= v <= h, and what
+    is paid completes the squares of the changes: all of it is bounded least squares.
+    """
+    n, r, weight, h = 8, 1e-2, 0.05, 0.1
+    charges = (Charge("tariff", "u1", 2.0, "EUR", True), Charge("heat", "y2", 3.0, "EUR", True))
+    loop = disturbed_loop(bands=("y1",), moving_limits=("u1",), charges=charges)
+    controller = NMPC(
+        model=f"{__package__}.plant_models:DISTURBED", horizon=n, change_weight=r, price_weight=weight,
+        use_forecast=use_forecast,
+    )  # fmt: skip
+    controller.start(loop)
+    a, b, e = sampled(loop)
+    rng = np.random.default_rng(2)
+    d = np.cumsum(0.1 * rng.standard_normal((60, 2)), axis=0)
+    middle = np.repeat([0.0, 0.4, -0.3], 20)
+    band = np.stack([middle - 0.1, middle + 0.1], axis=-1)[:, np.newaxis]
+    high = np.repeat(rng.uniform(0.2, 0.9, 12), 5)
+    limits = np.stack([np.full(60, -0.9), high], axis=-1)[:, np.newaxis]
+    price = np.repeat(rng.uniform(0.0, 3.0, (10, 2)), 6, axis=0)
+    x, last, bounded = np.zeros(2), 0.0, 0
+    power = [np.linalg.matrix_power(a, i) for i in range(n + 1)]
+    changes = np.eye(n) - np.eye(n, k=-1)
+
+    def response(column: np.ndarray) -> np.ndarray:
+        rows = [[power[k - i] @ column if i <= k else 0.0 * column for i in range(n)] for k in range(n)]
+        return np.array(rows).transpose(0, 2, 1)
+
+    to_states = response(b[:, 0])
+    for k in range(40):
+        y = x[:1]
+        nearest, now = np.clip(y, *band[k + 1 : k + 1 + n].transpose(2, 0, 1)), np.clip(y, *band[k, 0])
+        sample = Sample(
+            k, 0.1 * k, y, x.copy(), nearest, now,
+            disturbance=d[k], forecast=d[k + 1 : k + 1 + n], band_now=band[k], band=band[k + 1 : k + 1 + n],
+            price=price[k : k + 1 + n], input_limits=limits[k : k + 1 + n],
+            output_limits=np.tile([-np.inf, np.inf], (n, 1, 1)),
+        )  # fmt: skip
+        u = controller.step(sample)
+        assert u.status == OK
+        acting = d[k : k + n] if use_forecast else np.tile(d[k], (n, 1))
+        free = np.array([power[i + 1] @ x for i in range(n)])
+        free += sum(response(e[:, j]) @ acting[:, j] for j in range(2))
+        slope = (
+            weight * h * (2.0 * price[k : k + n, 0] + 3.0 * to_states[:, 1].T @ price[k + 1 : k + 1 + n, 1])
+        )
+        root = np.sqrt(r)
+        of_price = np.linalg.solve(changes.T, slope) / (2.0 * r)
+        system = np.block([[to_states[:, 0], -np.eye(n)], [root * changes, np.zeros((n, n))]])
+        target = np.append(-free[:, 0], root * (np.append(last, np.zeros(n - 1)) - of_price))
+        low, up = (np.append(limits[k : k + n, 0, side], band[k + 1 : k + 1 + n, 0, side]) for side in (0, 1))
+        best = lsq_linear(system, target, (low, up), method="bvls", tol=1e-15, max_iter=500).x[0]
+        assert abs(u.u[0] - best) <= 1e-8
+        bounded += u.u[0] >= high[k] - 1e-7
+        last = float(u.u[0])
+        x = a @ x + b @ u.u + e @ d[k]
+    assert 3 < bounded < 37
+
+
+def test_a_disturbance_that_the_equations_do_not_know_is_refused() -> None:
+    loop = disturbed_loop()
+    loop = replace(loop, disturbances=(*loop.disturbances, Variable("rain")))
+    with pytest.raises(ConfigError, match=r'no input that is not driven.* "rain"; it has: sun, wind'):
+        NMPC(model=f"{__package__}.plant_models:DISTURBED").start(loop)

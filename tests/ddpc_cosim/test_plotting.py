@@ -9,6 +9,7 @@ import pytest
 import ddpc_cosim
 from ddpc_controllers import MFAPC, DeePC
 from ddpc_cosim import (
+    Charge,
     ConfigError,
     Controller,
     DisplayUnit,
@@ -107,3 +108,41 @@ def test_an_unknown_keyword_of_a_controller_is_told_with_the_one_that_is_meant()
         DeePC(lambda_gg=1.0, horizont=3)  # type: ignore[call-arg]
     assert len(caught.value.faults) == 2
     assert MFAPC(horizon=4).horizon == 4
+
+
+def test_bands_are_shaded_limits_move_as_steps_and_disturbances_and_prices_have_panels(trace: Trace) -> None:
+    """All of it over three days, in hours; in display units."""
+    n = len(trace)
+    edges = np.stack([np.full((n, 1), -0.1), np.full((n, 1), 0.1)], axis=-1)
+    limits = np.stack([np.zeros((n, 1)), np.arange(n, dtype=float)[:, None]], axis=-1)
+    more = replace(
+        trace,
+        time=trace.time * 3 * 86400,
+        bands=("angle",),
+        band=edges,
+        moving_limits=("u",),
+        input_limits=limits,
+        disturbances=(Variable("wind", "m/s"),),
+        d=np.arange(n, dtype=float)[:, None],
+        charges=(Charge("power", "u", 1.0, "EUR", known=True, amount="kWh"),),
+        price=np.full((n, 1), 0.2),
+        emission=np.zeros((n, 1)),
+        charged=trace.u,
+    )
+    spec = more.plot().to_dict()
+    data = spec.get("datasets", {})
+
+    def rows(layer: dict) -> list[dict]:
+        return data[layer["data"]["name"]] if "name" in layer["data"] else layer["data"]["values"]
+
+    output, control, wind, price = spec["vconcat"]
+    band, response = output["layer"]
+    assert band["mark"]["type"] == "area"
+    np.testing.assert_allclose([row["upper"] for row in rows(band)], np.degrees(edges[:, 0, 1]))
+    np.testing.assert_allclose([row["value"] for row in rows(response)], np.degrees(trace.y[:, 0]))
+    assert [row["time"] for row in rows(response)] == pytest.approx(np.linspace(0, 72, n).tolist())
+    signal, least, most = control["layer"]
+    assert [layer["mark"]["interpolate"] for layer in (signal, least, most)] == ["step-after"] * 3
+    np.testing.assert_allclose([row["value"] for row in rows(most)], limits[:, 0, 1])
+    assert [panel["encoding"]["y"]["title"] for panel in (wind, price)] == ["wind [m/s]", "power [EUR/kWh]"]
+    assert price["encoding"]["x"]["title"] == "time [h]"

@@ -15,10 +15,14 @@ from ddpc_cosim import (
     GaussianNoise,
     Interpolated,
     ParameterChange,
+    Product,
     Ramp,
+    RandomLevels,
     Sine,
     Steps,
+    Sum,
     UniformRandom,
+    Variable,
     WhiteNoise,
 )
 
@@ -41,6 +45,60 @@ def test_a_step_is_not_missed_by_a_rounding_error_of_the_time(k: int, h: float, 
     steps = Steps([0.0, k * h + t0], [0.0, 1.0])
     samples = t0 + np.arange(k - 1, k + 2, dtype=np.float64) * h
     assert np.array_equal(steps.at(samples), [0.0, 1.0, 1.0])
+
+
+@given(st.floats(-10, 10), st.integers(-3, 3))
+def test_what_has_a_period_comes_again(time: float, periods: int) -> None:
+    tariff = Steps([6.0, 22.0], [0.3, 0.2], period=24.0)
+    day = Interpolated([0.0, 6.0, 18.0], [0.0, 1.0, -1.0], period=24.0)
+    assert np.array_equal(tariff.at(np.array([5.0, 6.0, 21.0, 22.0, 24.0])), [0.2, 0.3, 0.3, 0.2, 0.2])
+    assert np.allclose(day.at(np.array([3.0, 12.0, 21.0, 27.0])), [0.5, 0.0, -0.5, 0.5])
+    for signal in (tariff, day):
+        shifted = np.array([time + 24.0 * periods, time])
+        assert (
+            np.ptp(signal.at(shifted)) < 1e-6 or min(abs(np.mod(time, 24.0) - [0.0, 6.0, 22.0, 24.0])) < 1e-9
+        )
+    with pytest.raises(ConfigError, match="times must be from 0 to below period = 24"):
+        Steps([6.0, 24.0], [0.3, 0.2], period=24.0)
+
+
+@given(st.integers(0, 1000), st.floats(-1e4, 1e4), st.sampled_from(["hold", "linear"]))
+def test_random_levels_are_a_function_of_time(seed: int, start: float, interpolation: str) -> None:
+    levels = RandomLevels(-1.0, 3.0, 7.0, seed=seed, interpolation=interpolation)  # type: ignore[arg-type]
+    time = start + np.linspace(0.0, 50.0, 200)
+    values = levels.at(time)
+    assert np.array_equal(values[60:90], levels.at(time[60:90]))
+    assert (values >= -1.0).all()
+    assert (values <= 3.0).all()
+    assert not np.array_equal(values, levels.with_seed(seed + 1).at(time))
+    if interpolation == "hold":
+        assert len(np.unique(values)) <= 9
+    else:
+        assert np.abs(np.diff(values)).max() <= 4.0 / 7.0 * 50.0 / 199.0 + 1e-9
+
+
+def test_random_levels_are_uniform_and_independent() -> None:
+    drawn = RandomLevels(-1.0, 3.0, 1.0).at(np.arange(4000.0) + 0.5)
+    assert drawn.mean() == pytest.approx(1.0, abs=0.08)
+    assert drawn.std() == pytest.approx(4.0 / 12**0.5, rel=0.05)
+    assert abs(np.corrcoef(drawn[1:], drawn[:-1])[0, 1]) < 0.06
+
+
+def test_sums_and_products_in_other_units() -> None:
+    outdoors, time = Variable("T", "K"), np.arange(5.0)
+    swing, factor = Sine(3.0, 0.1), RandomLevels(0.5, 1.0, 2.0)
+    warm = Sum([Constant(20.0), swing], unit="degC").in_unit(outdoors)
+    assert np.allclose(warm.at(time), 293.15 + swing.at(time))
+    part = Sum([Constant(20.0, unit="degC"), Constant(1.8, unit="degF")]).in_unit(outdoors)
+    assert np.allclose(part.at(time), 294.15)
+    sun = Product([Constant(0.4), factor], unit="kW/m2").in_unit(Variable("sun", "W/m2"))
+    assert np.allclose(sun.at(time), 400.0 * factor.at(time))
+    pair = Sum([factor, factor]).with_seed(3)
+    first, second = (part.at(time) for part in pair.parts)
+    assert not np.array_equal(first, second)
+    assert np.allclose(pair.at(time), first + second)
+    with pytest.raises(ConfigError, match=r"needed: signals of time, got 1\.0"):
+        Sum([Constant(1.0), 1.0])  # type: ignore[list-item]
 
 
 def test_ramp_is_constant_outside_its_instants() -> None:

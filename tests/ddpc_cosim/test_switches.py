@@ -21,6 +21,7 @@ from ddpc_cosim import (
     ParameterValue,
     Plant,
     PlantControl,
+    Price,
     Sample,
     SignalExcitation,
     Variable,
@@ -259,6 +260,32 @@ def test_the_experiment_drives_what_it_excites(room: Path) -> None:
     np.testing.assert_allclose(trace.y[:, 0], expected, rtol=1e-6)
 
 
+def test_a_warm_up_is_the_plants_own_unless_it_has_a_controller(room: Path) -> None:
+    warm = 3 * H
+    with FMUPlant(room, inputs=["oveHeat_u"], outputs=["reaTZon_y"]) as plant:
+        trace = loop_of(plant, Heats(), warm_up=warm)
+        own = loop_of(plant, PlantControl(), warm_up=warm, warm_up_controller=Heats())
+    begin = controlled_by_itself(np.array([warm]))[0]
+    end = OUTSIDE + 1000.0 / LOSS
+    expected = end + (begin - end) * np.exp(-LOSS / CAPACITY * trace.time)
+    np.testing.assert_allclose(trace.y[:, 0], expected, rtol=1e-6)
+    begin, end = heated(np.array([warm]), 1000.0)[0], controlled_by_itself(np.array([1e9]))[0]
+    expected = end + (begin - end) * np.exp(-(LOSS + GAIN) / CAPACITY * own.time)
+    np.testing.assert_allclose(own.y[:, 0], expected, rtol=1e-6)
+
+
+def test_what_an_input_costs_is_not_known_of_the_plants_own_control(room: Path) -> None:
+    prices = {
+        "asked": Price(signal="oveHeat_u", price=0.25, unit="EUR/kWh"),
+        "measured": Price(signal="reaPHea_y", price=0.25, unit="EUR/kWh"),
+    }
+    with FMUPlant(room, inputs=["oveHeat_u"], outputs=["reaTZon_y", "reaPHea_y"]) as plant:
+        measurements = ["reaTZon_y", "reaPHea_y"]
+        trace = loop_of(plant, PlantControl(), prices=prices, measurements=measurements)
+    assert np.isnan(trace.charged[:, 0]).all()
+    np.testing.assert_allclose(trace.charged[:, 1], GAIN * (SETPOINT - trace.y[:, 0]), rtol=1e-6)
+
+
 def test_a_signal_of_an_override_acts_and_one_of_its_switch_decides(tmp_path: Path) -> None:
     constant = {"kind": "constant", "value": 1000.0}
     steps = {"kind": "steps", "times": [0.0, 3 * H], "values": [0.0, 1.0]}
@@ -356,3 +383,10 @@ def test_inspect_and_init_take_an_override_as_one_input(room: Path) -> None:
     assert "oveHeat_activate" not in proposal.study.plant.start
     # The gain of what is driven, and not of what the room's own control leaves of it.
     assert proposal.gains[0, 0] == pytest.approx(1.0 / LOSS, rel=0.05)
+
+
+def test_the_plants_own_control_needs_no_reference(room: Path) -> None:
+    with FMUPlant(room, inputs=["oveHeat_u"], outputs=["reaTZon_y"]) as plant:
+        trace = cosimulate(plant, PlantControl(), sampling_time=H, duration=SAMPLES * H, reference={})
+    assert trace.outputs == ()
+    np.testing.assert_allclose(trace.measured[:, 0], controlled_by_itself(trace.time), rtol=1e-6)

@@ -182,3 +182,37 @@ def test_settings_of_a_publication_are_told_by_their_source(make_results: MakeRe
         "Data-driven has settings from Table 1 of the paper; Model-based has settings found"
     )
     assert some.endswith("So the effort spent on tuning is not known to be equal.")
+
+
+def test_what_is_known_of_disturbances_and_prices_and_who_uses_it(make_results: MakeResults) -> None:
+    forecasts = {"data": "sun, wind", "model": "measured only", "own": None}
+
+    def trace_of(key: str, seed: int) -> Trace:
+        told = forecasts[key]
+        more = {"forecast": told, "prices": "electricity"} if key == "data" else {"forecast": told}
+        knowledge = {"measures": "angle", "plant": "nothing", **more} if told else {}
+        return replace(make_trace(0.3, noise_seed=seed), knowledge=knowledge)
+
+    constant = {"kind": "constant", "value": 1.0}
+    signals: dict[str, Any] = {
+        "disturbances": {
+            "sun": {"signal": constant, "known": "medium", "lag": 1},
+            "wind": {"signal": constant, "known": "perfect"},
+        },
+        "prices": {"electricity": {"signal": "torque", "price": 0.2, "unit": "EUR/kWh"}},
+    }
+    blind = {"nominal": {}, "blind": {"known": {"sun": "unknown", "wind": "unknown"}}}
+    said = fairness(make_results(trace_of, controllers(), **signals))
+    assert said["Disturbances"] == (
+        "Known of sun: what is measured, and forecasts with medium errors, 1 sample late; of wind: what is "
+        "measured, and what it will be. Data-driven uses the forecast of sun, wind; Model-based uses what is "
+        "measured of disturbances, and no forecast; of <b>Their</b> & own it is not known whether forecasts "
+        "are used."
+    )
+    assert said["Prices"] == (
+        "Known ahead: electricity. Data-driven uses the price of electricity; Model-based uses no price; "
+        "of <b>Their</b> & own it is not known whether prices are used."
+    )
+    said = fairness(make_results(trace_of, controllers(), **signals, scenarios=blind))
+    assert said["Disturbances"].startswith("In blind: Known of sun and wind: nothing."), "the last of two"
+    assert "Disturbances" not in fairness(make_results(trace_of, controllers()))

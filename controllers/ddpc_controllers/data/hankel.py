@@ -191,26 +191,46 @@ def diagnose(
     )
 
 
-def require_length(samples: int, order_needed: int, inputs: int, who: str, seams: Sequence[int] = ()) -> None:
+def require_length(
+    samples: int,
+    order_needed: int,
+    signals: int,
+    who: str,
+    seams: Sequence[int] = (),
+    disturbances: int = 0,
+) -> None:
     """Check that a recording is long enough to be persistently exciting of an order at all.
+
+    Parameters
+    ----------
+    samples, order_needed, signals : int
+        Its length, the order, and the number of inputs and disturbances.
+    who : str
+        Who asks.
+    seams : sequence of int
+        The first sample of every piece but the first.
+    disturbances : int
+        How many of the signals are disturbances.
 
     Raises
     ------
     DataError
         The lengths there and needed.
     """
-    needed = least_samples(order_needed, inputs)
-    if count_windows(samples, order_needed, seams) < inputs * order_needed:
+    needed = least_samples(order_needed, signals)
+    if count_windows(samples, order_needed, seams) < signals * order_needed:
+        besides = f" and {disturbances} known disturbance(s)" if disturbances else ""
         pieces = f" in {len(seams) + 1} pieces, of which each needs more" if seams else ""
         raise DataError(
             f"{who}: the recording has {samples} samples{pieces}; persistency of excitation of order "
-            f"{order_needed} with {inputs} input(s) takes at least {needed}: record longer, "
+            f"{order_needed} with {signals - disturbances} input(s){besides} takes at least {needed}: "
+            "record longer, "
             "or shorten horizon or initial_length"
         )
 
 
-def require_excitation(diagnostics: DataDiagnostics, why: str, who: str) -> None:
-    """Check that the inputs excite enough.
+def require_excitation(diagnostics: DataDiagnostics, why: str, who: str, disturbances: int = 0) -> None:
+    """Check that the inputs, and so many disturbances, excite enough.
 
     Raises
     ------
@@ -219,11 +239,18 @@ def require_excitation(diagnostics: DataDiagnostics, why: str, who: str) -> None
     """
     reached, needed = diagnostics.pe_order, diagnostics.pe_order_needed
     if reached < needed:
+        what = "input and disturbances together are" if disturbances else "input is"
+        remedy = (
+            "a richer input, let the disturbances move more in the experiment (recording.disturbances), or "
+            "take them for unknown"
+            if disturbances
+            else "a richer input"
+        )
         raise DataError(
-            f"{who}: the recorded input is persistently exciting of order {reached}, needed {needed} "
+            f"{who}: the recorded {what} persistently exciting of order {reached}, needed {needed} "
             f"({why}); its windows have rank {diagnostics.data_rank} of {diagnostics.data_rows} rows, "
             f"smallest singular value {diagnostics.smallest_singular_value:.1e}: record more samples or use "
-            "a richer input"
+            f"{remedy}"
         )
 
 
@@ -378,15 +405,15 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         )
     sizes = (recording.u.shape[1], recording.y.shape[1], recording.measured.shape[1])
     wanted = (len(loop.inputs), len(loop.outputs), len(loop.measurements))
-    if sizes != wanted:
-        raise DataError(
-            f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
-        )
     if recording.d.shape[1] != len(loop.disturbances):
         names = ", ".join(variable.name for variable in loop.disturbances) or "none"
         raise DataError(
-            f"{who}: the recording has {recording.d.shape[1]} known disturbance(s), the loop {names}: record "
-            'them, or set known = "unknown"'
+            f"{who}: the recording has {recording.d.shape[1]} known disturbance(s), the loop has "
+            f"{len(loop.disturbances)} ({names}): record them too, or take them for unknown"
+        )
+    if sizes != wanted:
+        raise DataError(
+            f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
     if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
         raise DataError(
@@ -401,6 +428,28 @@ def running_past(loop: Loop) -> Recording | None:
     if loop.continues_recording and loop.recording is not None:
         return loop.recording.pieces[-1]
     return loop.past
+
+
+def signals_of(recording: Recording) -> dict[str, FloatArray]:
+    """Return what windows are made of: inputs, outputs and disturbances, shape (T, width) each."""
+    return {"u": recording.u, "y": recording.y, "d": recording.d}
+
+
+def signals_that_move(recording: Recording) -> FloatArray:
+    """Return what has to excite the plant: inputs and disturbances, shape (T, m + n_d)."""
+    return np.hstack([recording.u, recording.d])
+
+
+def samples_before(loop: Loop, length: int) -> Recording | None:
+    """Return the samples before the first one of a loop, None where it starts from rest.
+
+    Before a past that is shorter the plant is supposed to have been as in its first sample.
+    """
+    past = running_past(loop)
+    if past is None or not len(past):
+        return None
+    rows = np.maximum(np.arange(len(past) - length, len(past)), 0)
+    return Recording(past.u[rows], past.y[rows], past.measured[rows], past.sampling_time, d=past.d[rows])
 
 
 def resting_input(loop: Loop) -> FloatArray:

@@ -85,8 +85,8 @@ class OnlineData:
         M of the recording.
     weights : sequence of (int, float)
         What g costs: see :func:`~ddpc_controllers.optimisation.condensing.factorise`.
-    input_rows : array of int, shape (inputs in a window,)
-        Which rows hold inputs.
+    input_rows : array of int, shape (inputs and disturbances in a window,)
+        Which rows hold inputs and disturbances.
     keep : float
         What remains of older windows at every new one: 1 for a sliding window, the forgetting factor
         otherwise.
@@ -276,7 +276,7 @@ class Learner:
         self._amplitude = per_signal("dither", settings.dither, widths["u"]) / input_scales
         self._dithers, self._rng = bool(self._amplitude.any()), rng
         keep = settings.forgetting_factor if settings.online_data == "forgetting" else 1.0
-        rows = layout.rows_of("u", widths)
+        rows = np.concatenate([layout.rows_of(name, widths) for name in ("u", "d") if name in widths])
         self.data = OnlineData(data, problem.weights, rows, keep, settings.excitation_floor)
         self._buffer = WindowBuffer(layout, signals, continues)
 

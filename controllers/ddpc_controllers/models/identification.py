@@ -21,7 +21,7 @@ from ddpc_controllers.data.hankel import (
     window_starts,
     without_first,
 )
-from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of, standardised
+from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of, standardised, stands_still
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
@@ -214,12 +214,11 @@ def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:
 
 def never_moved(loop: Loop, recording: Recording) -> tuple[str, ...]:
     """Return a warning for every known disturbance whose effect a recording does not show."""
-    moves = np.ptp(recording.d, axis=0).tolist()
     return tuple(
-        f'"{variable.name}" never moved in the recording, where it is {value:g} {variable.unit}'.rstrip()
-        + ", so its effect is not in the data: record it while it moves"
-        for variable, move, value in zip(loop.disturbances, moves, recording.d[0].tolist(), strict=True)
-        if move == 0.0
+        f"{variable.name} never moved in the recording, so its effect is not in the data and counts as none: "
+        f"let it move in the experiment (recording.disturbances.{variable.name})"
+        for variable, still in zip(loop.disturbances, stands_still(recording.d), strict=True)
+        if still
     )
 
 

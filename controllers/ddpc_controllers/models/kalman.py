@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, prior_info
+from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.hankel import numerical_rank, resting_input, running_past
 from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
@@ -234,8 +234,8 @@ class ModelBased(ScaledSignals):
         """Return the signals it uses, and its prior information about the plant."""
         model = self.model
         if isinstance(model, Identified):
-            return prior_info("nothing", loop.outputs)
-        return prior_info(f"a linear model, by {type(model).__name__}", loop.outputs)
+            return self._facts("nothing", loop.outputs)
+        return self._facts(f"a linear model, by {type(model).__name__}", loop.outputs)
 
     def start(self, loop: Loop) -> None:
         """Get the model, and start on the loop in scaled signals.
@@ -285,6 +285,9 @@ class ModelBased(ScaledSignals):
             c=given.c / scales.y[:, None],
             u_0=given.u_0 / scales.u,
             y_0=given.y_0 / scales.y,
+            e=given.e * scales.d,
+            f=given.f * scales.d / scales.y[:, None],
+            d_0=given.d_0 / scales.d,
         )
 
     def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:

@@ -1,9 +1,10 @@
 """A plant's own equations in CasADi: sampled by Runge-Kutta steps, with a disturbance that explains the rest.
 
-    x+ = F(x, u + d, t),   y = h(x, u + d, t)
+    x+ = F(x, u + d, t, w),   y = h(x, u + d, t, w)
 
 The equations are those of a `PlantModel` of :mod:`fmu_plants`, found as a plug-in. The inputs carry the
-disturbance d; where they outnumber the outputs, the outputs do.
+disturbance d; where they outnumber the outputs, the outputs do. Known disturbances w are inputs of the plant
+that the loop does not drive.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -105,7 +106,8 @@ class PlantEquations:
     Attributes
     ----------
     advance, output : casadi.Function
-        x+ and what is measured, see :func:`measured_signals`, as functions of (x, u, d, t).
+        x+ and what is measured, see :func:`measured_signals`, as functions of
+        (x, u, d, t), and of w where there is one.
     start : array, shape (n,)
         States that the model starts from.
     nominal : array, shape (n,)
@@ -122,40 +124,48 @@ class PlantEquations:
     def __init__(self, model: Any, loop: Loop, given: Mapping[str, float]) -> None:
         ca = casadi()
         signals = measured_signals(loop)
-        driven = [variable.name for variable in loop.inputs]
-        _check_names(model, driven, [variable.name for variable in signals], given)
+        driven, known = ([v.name for v in variables] for variables in (loop.inputs, loop.disturbances))
+        _check_names(model, driven, known, [variable.name for variable in signals], given)
         constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
 
         states = [state.name for state in model.states]
-        n, m, p = len(states), len(driven), len(loop.outputs)
-        x, u, t = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t")
+        n, m, p, n_w = len(states), len(driven), len(loop.outputs), len(known)
+        x, u, t, w = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t"), ca.SX.sym("w", n_w)
         self.disturbances = m if m <= p else p
         d = ca.SX.sym("d", self.disturbances)
+        arguments = [x, u, d, t, *([w] if known else [])]
         applied = u + d if m <= p else u
         values = constants | dict(zip(driven, ca.vertsplit(applied), strict=True)) | {"time": t}
         values |= dict(zip(states, ca.vertsplit(x), strict=True))
+        values |= dict(zip(known, ca.vertsplit(w) if known else (), strict=True))
         equations = model.equations(_Symbols([*values]))
         convert = _Converter(ca, values)
         outputs = {name: values[name] for name in states} | {
             name: convert(expression) for name, expression in equations.outputs.items()
         }
         slope = ca.Function(
-            "slope", [x, u, d, t], [ca.vertcat(*(convert(equations.derivatives[s]) for s in states))]
+            "slope", arguments, [ca.vertcat(*(convert(equations.derivatives[s]) for s in states))]
         )
         seen = ca.vertcat(*(outputs[variable.name] for variable in signals))
         if m > p:
             seen += ca.vertcat(d, ca.SX.zeros(len(signals) - p))
-        self.output = ca.Function("output", [x, u, d, t], [seen])
+        self.output = ca.Function("output", arguments, [seen])
         self.start = np.array([state.start for state in model.states])
         self.nominal = np.array([state.nominal for state in model.states])
-        rest = np.array([variable.start for variable in loop.inputs])
+        rest, usual = (
+            np.array([variable.start for variable in variables])
+            for variables in (loop.inputs, loop.disturbances)
+        )
         self.steps = _steps(
-            ca, slope, (self.start, rest, np.zeros(self.disturbances), 0.0), loop.sampling_time
+            ca,
+            slope,
+            (self.start, rest, np.zeros(self.disturbances), 0.0, *_given(usual)),
+            loop.sampling_time,
         )
         h, end = loop.sampling_time / self.steps, x
         for i in range(self.steps):
-            end = _runge_kutta(lambda x, t: slope(x, u, d, t), end, t + i * h, h)
-        self.advance = ca.Function("advance", [x, u, d, t], [end])
+            end = _runge_kutta(lambda x, t: slope(x, u, d, t, *arguments[4:]), end, t + i * h, h)
+        self.advance = ca.Function("advance", arguments, [end])
 
 
 class _Symbols:
@@ -211,15 +221,24 @@ class _Converter:
 
 
 def _check_names(
-    model: Any, driven: Sequence[str], signals: Sequence[str], given: Mapping[str, float]
+    model: Any,
+    driven: Sequence[str],
+    disturbances: Sequence[str],
+    signals: Sequence[str],
+    given: Mapping[str, float],
 ) -> None:
+    acting = {*driven, *disturbances}
     known = {
         "input": ([v.name for v in model.inputs], driven),
+        "input that is not driven, as a known disturbance is,": (
+            [v.name for v in model.inputs if v.name not in driven],
+            disturbances,
+        ),
         "output": ([v.name for v in (*model.states, *model.outputs)], signals),
-        "parameter": ([v.name for v in (*model.parameters, *model.inputs) if v.name not in driven], given),
+        "parameter": ([v.name for v in (*model.parameters, *model.inputs) if v.name not in acting], given),
     }
     faults = [
-        f'NMPC: model {model.name} has no {what} "{name}"; it has: {", ".join(names)}'
+        f'NMPC: model {model.name} has no {what} "{name}"; it has: {", ".join(names) or "none"}'
         for what, (names, wanted) in known.items()
         for name in dict.fromkeys(wanted)
         if name not in names
@@ -242,6 +261,10 @@ def _runge_kutta(slope: Callable[[Any, Any], Any], x: Any, t: Any, h: float) -> 
     k3 = slope(x + h / 2 * k2, t + h / 2)
     k4 = slope(x + h * k3, t + h)
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _given(w: FloatArray) -> tuple[FloatArray, ...]:
+    return (w,) if w.size else ()
 
 
 class ExtendedKalmanFilter:
@@ -272,11 +295,12 @@ class ExtendedKalmanFilter:
         measurement_noise: float,
     ) -> None:
         ca = casadi()
-        x, u, d, t = plant.advance.sx_in()
+        symbols = plant.advance.sx_in()
+        x, u, d, *_ = symbols
         z = ca.vertcat(x, d)
         self._ahead, self._seen = (
-            ca.Function("model", [x, u, d, t], [value, ca.jacobian(value, z), ca.jacobian(value, u)])
-            for value in (plant.advance(x, u, d, t), plant.output(x, u, d, t))
+            ca.Function("model", symbols, [value, ca.jacobian(value, z), ca.jacobian(value, u)])
+            for value in (plant.advance(*symbols), plant.output(*symbols))
         )
         signals = measured_signals(loop)
         carrier = loop.inputs if plant.disturbances == len(loop.inputs) else loop.outputs
@@ -287,9 +311,9 @@ class ExtendedKalmanFilter:
         self.x, self.d = plant.start.copy(), np.zeros(plant.disturbances)
         self._covariance = np.diag(self._wander)
 
-    def correct(self, measured: FloatArray, u: FloatArray, t: float) -> None:
-        """Take what is measured, shape (s,), as far as it is finite, after inputs u, shape (m,)."""
-        expected, c, _ = (matrix.full() for matrix in self._seen(self.x, u, self.d, t))
+    def correct(self, measured: FloatArray, u: FloatArray, w: FloatArray, t: float) -> None:
+        """Take what is measured, (s,), as far as it is finite, after inputs u, (m,), and w, (n_w,)."""
+        expected, c, _ = (matrix.full() for matrix in self._seen(self.x, u, self.d, t, *_given(w)))
         known = np.isfinite(measured)
         c, surprise = c[known], (measured - expected[:, 0])[known]
         spread = c @ self._covariance
@@ -298,9 +322,9 @@ class ExtendedKalmanFilter:
         change = gain @ surprise
         self.x, self.d = self.x + change[: len(self.x)], self.d + change[len(self.x) :]
 
-    def predict(self, u: FloatArray, t: float) -> None:
-        """Go on by one sample with inputs u, shape (m,)."""
-        x, of_z, b = (matrix.full() for matrix in self._ahead(self.x, u, self.d, t))
+    def predict(self, u: FloatArray, w: FloatArray, t: float) -> None:
+        """Go on by one sample with inputs u, shape (m,), and known disturbances w, shape (n_w,)."""
+        x, of_z, b = (matrix.full() for matrix in self._ahead(self.x, u, self.d, t, *_given(w)))
         n = len(self.x)
         a = np.vstack([of_z, np.eye(len(self.d), n + len(self.d), n)])
         covariance = a @ self._covariance @ a.T + np.diag(self._wander)

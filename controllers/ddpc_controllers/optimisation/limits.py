@@ -87,15 +87,16 @@ class InputLimits:
         self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
         span = np.zeros(len(u_min))
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
-        self._near = _AT_LIMIT * span
+        self._near = (_AT_LIMIT * span).tolist() * steps
         self.move(np.tile(np.stack([u_min, u_max], axis=1), (steps, 1, 1)))
 
     def move(self, limits: FloatArray) -> None:
         """Take new limits, shape (steps, m, 2) or more of them, from this sample on."""
-        low, high = self._bounds = limits[: self._steps, :, 0], limits[: self._steps, :, 1]
-        self._low, self._high = low.ravel().tolist(), high.ravel().tolist()
-        self._near_low = (low + self._near).ravel().tolist()
-        self._near_high = (high - self._near).ravel().tolist()
+        self._limits = limits
+        values = limits[: self._steps].ravel().tolist()
+        self._low, self._high = values[::2], values[1::2]
+        self._near_low = [low + near for low, near in zip(self._low, self._near, strict=True)]
+        self._near_high = [high - near for high, near in zip(self._high, self._near, strict=True)]
 
     def reach(self, u: FloatArray) -> None:
         """Put inputs that are at a limit but for rounding exactly there, in place."""
@@ -124,9 +125,9 @@ class InputLimits:
 
     def hold_changes(self, plan: FloatArray, last: FloatArray) -> None:
         """Keep inputs, shape (samples, m), and their changes from ``last`` on within limits, in place."""
-        for u, low, high in zip(plan, *self._bounds, strict=False):
+        for u, limits in zip(plan, self._limits, strict=False):
             np.clip(u, last - self._rates, last + self._rates, out=u)
-            np.clip(u, low, high, out=u)
+            np.clip(u, *limits.T, out=u)
             last = u
 
 
@@ -163,6 +164,12 @@ class ChangeLimits:
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
         self._backend = PIQPBackend()
         self.plan: list[float] = []
+
+    def move(self, limits: FloatArray) -> None:
+        """Take new limits of the inputs, shape (m, 2), for all of the plan from now on."""
+        self._u_min, self._u_max = limits.T
+        rates = [rate for _, _, rate in self._channels]
+        self._channels = list(zip(self._u_min.tolist(), self._u_max.tolist(), rates, strict=True))
 
     def apply(
         self, u: Sequence[float], changes: FloatArray, hessian: FloatArray, slope: FloatArray

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, sample_by_sample
 from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
@@ -70,8 +71,8 @@ class _Sides:
     def __len__(self) -> int:
         return len(self.signals)
 
-    def of_sample(self, limits: FloatArray) -> FloatArray:
-        """Return the limits that move, shape (rows, number), of all of them, shape (rows, signals, 2)."""
+    def of(self, limits: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of the limits that move, shape (rows, number), of all, shape (rows, signals, 2)."""
         return np.asarray(limits[:, self.signals, self.sides])
 
     def chosen(self, side: int) -> FloatArray:
@@ -105,18 +106,22 @@ class Outlook:
         How many samples from now the first predicted output is.
     controlled : int, optional
         How many of the outputs are controlled; the others, which come last, are predicted only. Default: all.
+    units : (array, array, array), shapes (m,), (p,), (n_d,), optional
+        What one of each input, output and disturbance of the loop is in the samples; default: the same.
 
     Attributes
     ----------
     windows : dict of str to (int, int)
-        Length and width of the parameters' windows; empty where there are no such things. ``"d"`` holds the
-        disturbances d_k-past ... d_k+N-1.
+        Length and width of the parameters' windows, which have to be the last ones; empty where there are no
+        such things. ``"d"`` holds the disturbances d_k-past ... d_k+N-1.
     followed : array of int
         The outputs that follow a reference.
     bands : array of int
         Those that are wanted within a band.
     paid : list of Paid
         What is paid for.
+    moves_inputs : bool
+        Whether limits of inputs move.
     """
 
     def __init__(
@@ -128,11 +133,12 @@ class Outlook:
         past: int = 0,
         first: int = 1,
         controlled: int | None = None,
+        units: tuple[FloatArray, FloatArray, FloatArray] | None = None,
     ) -> None:
         inputs, outputs = ([v.name for v in variables] for variables in (loop.inputs, loop.outputs))
         bounds, self.horizon = loop.bounds, horizon
         self.controlled = len(outputs) if controlled is None else controlled
-        self._past, self._first, self._uses_forecast = past, first, settings.use_forecast
+        self._past, self._first = past, first
         in_band = np.isin(outputs[: self.controlled], loop.bands)
         self.followed, self.bands = np.flatnonzero(~in_band), np.flatnonzero(in_band)
         self._u = _Sides(inputs, loop.moving_limits, bounds.u_min, bounds.u_max)
@@ -147,11 +153,18 @@ class Outlook:
             PRICE: (horizon + 1, len(loop.charges) if self.paid else 0),
         }
         self.windows = {name: size for name, size in sizes.items() if size[1]}
+        self.moves_inputs = INPUT_LIMITS in self.windows
+        self._passing = past > 0 and D in self.windows
+        self._arrange(loop, settings.use_forecast, units)
 
-    @property
-    def moves_inputs(self) -> bool:
-        """Whether limits of inputs move."""
-        return INPUT_LIMITS in self.windows
+    def at_rest(self) -> dict[str, Blocks]:
+        """Return the rows of disturbances that stay what they are at the end of the horizon."""
+        if D not in self.windows:
+            return {}
+        length, width = self.windows[D]
+        at_end = np.zeros((length, length))
+        at_end[:, -1] = 1.0
+        return {D: {D: sample_by_sample(at_end, np.eye(width))}}
 
     def begin(self, parameters: ParameterVector, past: FloatArray) -> None:
         """Fill the disturbances before this sample, shape (past, n_d), or (n_d,) as if always so."""
@@ -160,30 +173,68 @@ class Outlook:
 
     def fill(self, parameters: ParameterVector, sample: Sample) -> None:
         """Fill the parameters for this sample."""
-        windows, first, n = self.windows, self._first, self.horizon
-        if D in windows:
-            d = parameters.window(D)
-            d[self._past] = sample.disturbance
-            d[self._past + 1 :] = sample.forecast[: n - 1] if self._uses_forecast else sample.disturbance
-        if BAND in windows:
-            band = (
-                sample.band[:n] if first else np.vstack([sample.band_now[np.newaxis], sample.band[: n - 1]])
-            )
-            edges = band[:, self.bands].reshape(n, -1)
-            parameters.fill(BAND, np.minimum(np.maximum(edges, -_ENDLESS), _ENDLESS))
-        if INPUT_LIMITS in windows:
-            parameters.fill(INPUT_LIMITS, self._u.of_sample(sample.input_limits[:n]))
-        if OUTPUT_LIMITS in windows:
-            limits = self._y.of_sample(sample.output_limits[:n])
-            parameters.fill(OUTPUT_LIMITS, limits if first else np.vstack([limits[:1], limits[:-1]]))
-        if PRICE in windows:
-            parameters.fill(PRICE, sample.price[: n + 1])
+        if not self._fields:
+            return
+        values = np.concatenate([getattr(sample, field).ravel() for field in self._fields])
+        ahead = parameters.array[-1 - len(self._places) : -1]
+        np.take(values, self._places, out=ahead, mode="clip")
+        if self._units is not None:
+            ahead /= self._units
+        if BAND in self.windows:
+            edges = parameters.window(BAND)
+            np.minimum(np.maximum(edges, -_ENDLESS, out=edges), _ENDLESS, out=edges)
+
+    def now(self, parameters: ParameterVector) -> FloatArray:
+        """Return the disturbances of this sample, shape (n_d,), after :meth:`fill`."""
+        return parameters.window(D)[self._past] if D in self.windows else np.empty(0)
 
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""
-        if self._past and D in self.windows:
+        if self._passing:
             d = parameters.window(D)
-            d[: self._past] = d[1 : self._past + 1]
+            d[:-1] = d[1:]
+
+    def _arrange(
+        self,
+        loop: Loop,
+        uses_forecast: bool,
+        units: tuple[FloatArray, FloatArray, FloatArray] | None,
+    ) -> None:
+        """Note which entries of a sample the parameters are, in which units: they are copied at once."""
+        n, m, p, n_d = self.horizon, len(loop.inputs), len(loop.outputs), self.disturbances
+        shapes: dict[str, dict[str, tuple[int, ...]]] = {
+            D: {"disturbance": (1, n_d), "forecast": (n, n_d)},
+            BAND: {"band_now": (1, p, 2), "band": (n, p, 2)},
+            INPUT_LIMITS: {"input_limits": (n + 1, m, 2)},
+            OUTPUT_LIMITS: {"output_limits": (n, p, 2)},
+            PRICE: {"price": (n + 1, len(loop.charges))},
+        }
+        fields = {field: shape for name in self.windows for field, shape in shapes[name].items()}
+        ends = np.cumsum([int(np.prod(shape)) for shape in fields.values()])
+        at = {
+            field: end - int(np.prod(shape)) + np.arange(int(np.prod(shape))).reshape(shape)
+            for end, (field, shape) in zip(ends.tolist(), fields.items(), strict=True)
+        }
+        of_u, of_y, of_d = units or (np.ones(m), np.ones(p), np.ones(n_d))
+        later = slice(1, n + 1) if self._first else slice(n)
+        chosen = list[tuple[NDArray[np.intp], FloatArray]]()
+        if D in self.windows:
+            rows = np.vstack([at["disturbance"], at["forecast"]])[:n]
+            chosen.append((rows if uses_forecast else rows[np.zeros(n, dtype=np.intp)], of_d))
+        if BAND in self.windows:
+            edges = np.concatenate([at["band_now"], at["band"]])[later][:, self.bands]
+            chosen.append((edges.reshape(n, -1), np.repeat(of_y[self.bands], 2)))
+        if INPUT_LIMITS in self.windows:
+            chosen.append((self._u.of(at["input_limits"][:n]), of_u[self._u.signals]))
+        if OUTPUT_LIMITS in self.windows:  # those of now are not known, nor do inputs change what they hold
+            rows = np.concatenate([at["output_limits"][:1], at["output_limits"]])[later]
+            chosen.append((self._y.of(rows), of_y[self._y.signals]))
+        if PRICE in self.windows:
+            chosen.append((at["price"], np.ones(len(loop.charges))))
+        self._fields = tuple(fields)
+        self._places = np.concatenate([rows.ravel() for rows, _ in chosen] or [np.empty(0, dtype=np.intp)])
+        sizes = [np.broadcast_to(unit, rows.shape).ravel() for rows, unit in chosen]
+        self._units = np.concatenate(sizes) if units and sizes else None
 
     def moving(self, signal: str, bounds: Bounds) -> tuple[Blocks, Blocks] | None:
         """Return the limits of ``"u"``, ``"y"`` over the horizon, or of ``"u_s"``, ``"y_s"`` at its end.

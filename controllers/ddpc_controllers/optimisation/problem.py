@@ -111,8 +111,8 @@ class Problem:
     def regularise_about(self, rows: Mapping[str, Blocks], weight: float, about: Mapping[str, float]) -> None:
         """Add ``weight |g - g_s|^2`` to the cost, g_s being the smallest combination with given data rows.
 
-        ``rows`` has coefficients of variables or parameters for each block of data rows; ``own`` has weights
-        of what the last blocks of rows add to g_s.
+        ``rows`` has coefficients of parameters or, where there is none of a name, variables for each block of
+        data rows; ``about`` has weights of what the last blocks of rows add to g_s.
         """
         above = self.row_count - sum(self.rows[name] for name in about)
         self.weights = ((above, weight), *((self.rows[name], weight) for name in about))
@@ -120,7 +120,9 @@ class Problem:
         of_x, of_p = self.origin
         for row, blocks in rows.items():
             for name, block in blocks.items():
-                part, place = (of_x, self._variables) if name in self._variables else (of_p, self._parameters)
+                part, place = (
+                    (of_p, self._parameters) if name in self._parameters else (of_x, self._variables)
+                )
                 part[self._variables[row], place[name]] = block
 
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:

@@ -96,25 +96,28 @@ class Solution(NamedTuple):
         Numbers of the active bounds.
     t : array or None
         The distance; None: that of the optimum on the active bounds.
+    parameters : array or None
+        What the rest of the answer follows from; None: it is there.
     """
 
     answer: FloatArray
     active: ActiveSet
     t: FloatArray | None
+    parameters: FloatArray | None
 
-    def info(self, rest: int, paid: int, gain: FloatArray) -> dict[str, float]:
+    def info(self, rest: int, paid: int, cost_law: FloatArray, gain: FloatArray) -> dict[str, float]:
         """Return cost and number of active bounds.
 
         Parameters
         ----------
         rest, paid : int
             Where r begins, and how many prices there are.
-        gain : array
-            How t changes the excess.
+        cost_law, gain : array
+            How the parameters make the rest of the answer, and how t changes the excess.
         """
-        end = len(self.answer) - 2 * paid
-        root, t = self.answer[rest:end], self.t
-        prices, amounts = self.answer[end : end + paid], self.answer[end + paid :]
+        left = self.answer[rest:] if self.parameters is None else cost_law @ self.parameters
+        end, t = len(left) - 2 * paid, self.t
+        root, prices, amounts = left[:end], left[end : end + paid], left[end + paid :]
         if t is None and self.active:
             rows, excess = gain[list(self.active)], self.answer[list(self.active)]
             t = rows.T @ np.linalg.solve(rows @ rows.T, excess)
@@ -171,9 +174,9 @@ def ends_info(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> d
 
 
 def _solution_info(
-    solution: Solution, rest: int, paid: int, gain: FloatArray, *ends: Any
+    solution: Solution, how: tuple[int, int, FloatArray, FloatArray], *ends: Any
 ) -> dict[str, float]:
-    return solution.info(rest, paid, gain) | ends_info(*ends)
+    return solution.info(*how) | ends_info(*ends)
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
@@ -235,13 +238,14 @@ class _BoundedLaw(ABC):
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
         self._rest, self._paid, self._gain = 0, 0, np.empty((0, 0))
+        self._cost_law = np.empty((0, 0))
         self._solution: Solution | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
         """Return cost, active bounds and predicted outputs of the last solution; see :func:`ends_info`."""
         if self._solution:
-            given = (self._solution, self._rest, self._paid, self._gain, ends, predicted, unit)
-            return StepInfo(_solution_info, given)
+            how = self._rest, self._paid, self._cost_law, self._gain
+            return StepInfo(_solution_info, (self._solution, how, ends, predicted, unit))
         if self._easier is None:
             return StepInfo(ends_info, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
@@ -278,7 +282,8 @@ class _BoundedLaw(ABC):
         """Return the move, given the excess over the bounds and the inputs of the unconstrained optimum."""
         bounds = self._bounds
         u = answer[bounds : self._rest]
-        self._solution = Solution(answer, (), None)
+        given = parameters.copy() if len(self._cost_law) else None
+        self._solution = Solution(answer, (), None, given)
         fault = find_conflict(self._conflict_law, parameters) if self._watches_conflict else ""
         if bounds and not max(answer[:bounds].tolist()) <= 0.0:
             excess = answer[:bounds]
@@ -289,7 +294,7 @@ class _BoundedLaw(ABC):
             if correction is None:
                 unmet = self.unmet or unmet_bounds(self._gain, excess, self._labels)
                 return self._relax(u, parameters, unmet)
-            self._solution = Solution(answer, *correction)
+            self._solution = Solution(answer, *correction, given)
         elif self._checks_inputs and not np.isfinite(u).all():
             return Move(None, HELD)
         self.limits.hold(u)
@@ -344,10 +349,11 @@ class ParametricQP(_BoundedLaw):
         self._easier, self.problem = None, problem
         self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
-        paid = problem.paid or ()
-        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law, *paid])
-        self._rest = len(problem.excess_law) + len(problem.move_law)
-        self._paid = len(paid[0]) if paid else 0
+        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
+        self._rest = len(self._law) - len(cost_law)
+        if problem.paid:  # so many rows that they are left until they are asked for
+            self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
+            self._cost_law = np.vstack([cost_law, *problem.paid])
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:

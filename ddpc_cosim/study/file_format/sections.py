@@ -31,6 +31,7 @@ from ddpc_cosim.durations import MOMENT_SCHEMA, in_words, moment_of
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.excitations import InputExcitation
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
+from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.prices import Price
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
@@ -585,7 +586,7 @@ class MetricsSection(Section):
 
     cost: CostSection | None = setting(None, doc="a quadratic cost, which controllers are ranked by")
     relevant: RelevantSection | None = setting(None, doc="the smallest difference that matters; none: 1 %")
-    ranking: Literal["error", "money", "pareto"] | None = setting(
+    ranking: Ranking | None = setting(
         None,
         doc="what controllers are ranked by: errors or the cost, money, or money and discomfort both; none: "
         "the last where there are prices, else the first",

@@ -12,7 +12,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.settings import Choice, Linear, is_plain, to_plain
-from ddpc_cosim.signals import REFERENCES, Band, GaussianNoise, Reference, WhiteNoise, by_kind
+from ddpc_cosim.signals import INPUTS, Band, GaussianNoise, Reference
 from ddpc_cosim.study.file_format.sections import BandSection, search_table
 
 Table = dict[str, Any]
@@ -27,9 +27,8 @@ def signal_table(what: str, signal: Reference) -> Table:
     ConfigError
         It is of a class that study files do not know.
     """
-    known = REFERENCES | by_kind(WhiteNoise)
-    if type(signal) not in known.values():
-        names = ", ".join(kind.__name__ for kind in known.values())
+    if type(signal) not in INPUTS.values():
+        names = ", ".join(kind.__name__ for kind in INPUTS.values())
         raise ConfigError(f"{what}: a study cannot write {signal!r}; it can: {names}")
     return write_in_short(signal)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
+from ddpc_cosim.durations import about
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.study.case_files import DAMAGED, DOING_NOTHING, RUN_FILE, read_run
 from ddpc_cosim.study.results import CASES_FOLDER
@@ -103,13 +104,7 @@ def _time(
         return "time: not known, as none of them has been run"
     which = f"; not known of {unknown.total()} cases, of which none like them has been run" if unknown else ""
     workers = f"{jobs} {'worker' if jobs == 1 else 'workers'}"
-    return f"time: about {_duration(total / jobs)} with {workers}, by the cases already run{which}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    return f"time: about {about(total / jobs)} with {workers}, by the cases already run{which}"
 
 
 def _size(missing: Sequence["Case"], storage: str) -> str:

@@ -24,6 +24,7 @@ from ddpc_cosim.study.verdicts.judgement import (
     set_aside,
     unsettled,
 )
+from ddpc_cosim.study.verdicts.knowing import Knowing, knowing
 from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
 from ddpc_cosim.study.verdicts.ranks import (
     RANKED,
@@ -80,6 +81,8 @@ class Findings:
         The controllers that are worse where they see more of the reference.
     remarks : tuple of Remark
         What is to be known of scenarios besides ranks.
+    knowing : Knowing or None
+        What knowing the disturbances is worth, where scenarios differ in it alone.
     """
 
     standings: Standings
@@ -89,6 +92,7 @@ class Findings:
     failing: tuple[Standing, ...]
     worse_previews: tuple[WorsePreview, ...]
     remarks: tuple[Remark, ...]
+    knowing: Knowing | None = None
 
     @property
     def is_sure(self) -> bool:
@@ -206,12 +210,15 @@ class OverallFindings:
         Average ranks, of two controllers or more.
     frame : pandas.DataFrame
         The runs that these are of.
+    knowing : tuple of Knowing or None
+        What knowing the disturbances is worth in each problem.
     """
 
     standings: tuple[Standings, ...]
     cases: dict[str, list[CaseResult]]
     ranks: AverageRanks
     frame: "pd.DataFrame"
+    knowing: tuple[Knowing | None, ...]
 
     @cached_property
     def profile(self) -> Profile:
@@ -238,6 +245,7 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
         tuple(standing for standing in ranking.order if standing.failed),
         worse,
         tuple(_remarks(study, everything, worse)),
+        knowing(study, ranking),
     )
 
 
@@ -305,7 +313,9 @@ def overall_findings(problems: Iterable[tuple[Study, Sequence[CaseResult]]]) -> 
         for case in cases:
             if case.scenario not in of_problem.left_out:
                 by_controller.setdefault(case.controller, []).append(case)
-    return OverallFindings(rankings, by_controller, ranks, frame)
+    studies = (study for study, _ in everything)
+    worth = tuple(knowing(study, ranking) for study, ranking in zip(studies, rankings, strict=True))
+    return OverallFindings(rankings, by_controller, ranks, frame, worth)
 
 
 def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview]) -> Iterator[Remark]:

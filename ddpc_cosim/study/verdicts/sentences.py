@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.knowing import Knowing
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
@@ -201,6 +202,36 @@ def _fewest_failed(ranking: Standings, controllers: Labels) -> Markup:
     return Markup("no controller is without a failed run. Fewest failed: {} {} of {} {}").format(
         who, fewest[0].failed, runs, "run" if runs == 1 else "runs"
     )
+
+
+def knowing_clause(found: Knowing | None, controllers: Labels, scenarios: Labels) -> Markup:
+    """Say what knowing the disturbances is worth; empty where nothing tells."""
+    if found is None:
+        return Markup("")
+    what = join_words([metric_name(name) for name in dict.fromkeys(split_key(key)[0] for key in found.keys)])
+    left: dict[str, list[str]] = {}
+    for scenario in found.more:
+        left.setdefault(_part(found.typical(scenario)), []).append(scenarios[scenario])
+    parts = [f"{part} ({join_words(labels)})" for part, labels in left.items()]
+    first, count = found.gaining[0], len(found.gaining)
+    whose = "the controller that gains" if count == 1 else f"the {count} controllers that gain (median)"
+    text = Markup("knowing the disturbances leaves {} {} of their {} without ({})").format(
+        whose, join_words(parts), what, scenarios[found.least]
+    )
+    if count > 1:
+        most = italic(controllers[first.controller]), _part(first.most)
+        text += Markup("; {} gains most ({})").format(*most)
+    if found.others:
+        text += Markup("; {} {} nothing").format(
+            some_of([italic(controllers[name]) for name in found.others]),
+            "gains" if len(found.others) == 1 else "gain",
+        )
+    return text
+
+
+def _part(part: float) -> str:
+    """Write what is left, in percent, and what is more than before as a multiple."""
+    return f"{100 * part:.2g}\u00a0%" if part < 0.995 else f"{part:.2g} times"
 
 
 def elsewhere_sentence(findings: Findings, controllers: Labels) -> Markup:

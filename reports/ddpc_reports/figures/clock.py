@@ -1,8 +1,7 @@
-"""Times in the unit that suits them: that of an axis by the length of a run, and times in words."""
+"""The unit of a time axis: that which suits the length of a run."""
 
 from typing import NamedTuple
 
-from ddpc_cosim.durations import in_words
 from ddpc_reports.numbers import as_given, computed, with_unit
 
 _FAR = 100
@@ -53,11 +52,3 @@ def clock_for(start: float, length: float) -> Clock:
     coarser = _CLOCKS[min(place + 1, len(_CLOCKS) - 1)]
     is_far = abs(start) > _FAR * _CLOCKS[place].seconds and length >= coarser.seconds
     return coarser if is_far else _CLOCKS[place]
-
-
-def time_words(seconds: float) -> str:
-    """Write a time [s] as people say it: ``0.1 s``, ``15 min``, ``3 h 20 min``, ``14 d``."""
-    parts = in_words(seconds).split(" ")
-    if parts[1:] == ["s"]:
-        return with_unit(as_given(seconds), "s")
-    return " ".join(f"{number}\u00a0{unit}" for number, unit in zip(parts[::2], parts[1::2], strict=True))

@@ -135,7 +135,7 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
 
 
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
-    what = metric_words(key)
+    what = metric_words(key, condition.every_key)
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
     rows = [row for controller in condition.controllers for row in _spread_rows(condition, controller, key)]
     if not rows:

@@ -87,7 +87,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         *([Heading("scenario", numeric=False)] if several else []),
         Heading("seed"),
         Heading("outcome", numeric=False),
-        *(Heading(metric_words(key), unit) for key, (unit, _) in zip(keys, scales, strict=True)),
+        *(Heading(metric_words(key, keys), unit) for key, (unit, _) in zip(keys, scales, strict=True)),
     ]
     total = len(results.cases)
     caption, which = f"Every case ({total})", ""

@@ -55,6 +55,8 @@ LIMITS = (
 def response_table(condition: Condition, prefix: str) -> Table | None:
     """Return the figures of the step response, a row per controller; None if the references have no steps."""
     columns = _columns(condition, RESPONSE)
+    if not condition.keys("overshoot"):  # outputs with bands alone
+        return None
     if all(math.isnan(float(cell.raw)) for _, cells in columns for cell in cells):
         return None
     preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
@@ -90,10 +92,11 @@ def _columns(condition: Condition, names: Sequence[str]) -> list[Column]:
     return [metric_column(condition, key) for name in names for key in condition.keys(name)]
 
 
-def meanings(names: Sequence[str]) -> str:
-    """Say what the metrics of a table are."""
+def meanings(names: Sequence[str], keys: Sequence[str] = ()) -> str:
+    """Say what the metrics of a table are, among the keys of which those of bands have names of their own."""
     metrics = all_metrics()
-    sentences = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
+    called = {split_key(key)[0]: metric_name(key, keys) for key in keys}
+    sentences = (f"{called.get(name, metric_name(name))}: {metrics[name].description}." for name in names)
     return " ".join(sentences).replace(" - ", f" {MINUS} ")
 
 
@@ -104,8 +107,8 @@ def metric_column(condition: Condition, key: str) -> Column:
     shown = [value * factor for value in values]
     cells = _median_cells(condition, key, shown, 4 if key in condition.headline else 3)
     if len(condition.keys(split_key(key)[0])) > 1:
-        return Heading(metric_signal(key), unit, group=metric_name(key)), cells
-    return Heading(metric_name(key), unit), cells
+        return Heading(metric_signal(key), unit, group=condition.name_of(key)), cells
+    return Heading(condition.name_of(key), unit), cells
 
 
 def _median_cells(condition: Condition, key: str, values: Sequence[float], digits: int = 4) -> list[Cell]:

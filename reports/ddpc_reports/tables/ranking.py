@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ddpc_cosim.metrics import metric_name, metric_of, split_key
+from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_reports.comparison import (
@@ -29,6 +29,12 @@ _RANK_NOTE = (
     "the number of all less those that are worse. One is better if the pairs of the same scenario and seed "
     "tell so at 5\u00a0% (one step-down sign-flip max-T test of all pairs) and the difference matters; of "
     "several outputs in one of them, and worse in none."
+)
+_FRONT_NOTE = (
+    "Rank: the Pareto front by money and discomfort. Of the first are those that no other dominates, of the "
+    "second those that only these dominate. One dominates another if the pairs of the same scenario and seed "
+    "tell at 5\u00a0% (one step-down sign-flip max-T test of all pairs) that it is better in one of the two "
+    "figures by enough to matter, and in none that it is worse."
 )
 _MEDIANS_NOTE = "Rank: by the medians, as the seeds are too few for a test."
 _FAILED_NOTE = (
@@ -57,7 +63,7 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
         metric_column(ranked, key)
         for name in (*_MORE, *_others(keys))
         for key in condition.keys(name)
-        if len(keys) == 1 or name == "solve_time_median"
+        if len(keys) == 1 or (ranking.is_pareto and len(keys) == 2) or name == "solve_time_median"
     ]
     columns = [
         _rank_column(ranking, order),
@@ -67,7 +73,9 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
         *_terms_columns(ranked, order),
         *_failed_columns(ranking, order),
     ]
-    what = " and ".join(filter(None, (metric_name(keys[0]) if keys else "", _of_signals(keys))))
+    what = " and ".join(filter(None, (condition.name_of(keys[0]) if keys else "", _of_signals(keys))))
+    if ranking.is_of_money:
+        what = " and ".join(["money", *["discomfort"] * ranking.is_pareto])
     return controller_table(
         f"{prefix}ranking",
         f"Ranked by {what}" if keys and ranking.is_ranked else "Controllers",
@@ -154,7 +162,7 @@ def _notes(condition: Condition, ranking: Standings) -> tuple[str, ...]:
     best += "; where that is most of them, none is marked."
     notes = [best]
     if ranking.is_ranked:
-        notes.append(_RANK_NOTE if ranking.tested else _MEDIANS_NOTE)
+        notes.append(_rank_note(ranking))
     if any(standing.failed for standing in ranking.order):
         notes.append(_FAILED_NOTE)
     if several:
@@ -164,8 +172,15 @@ def _notes(condition: Condition, ranking: Standings) -> tuple[str, ...]:
         )
     notes.append("Preview: of the reference. Needs data: a recording, which the controller is handed.")
     if others := [name for name in _others(condition.headline) if condition.keys(name)]:
-        notes.append(meanings(others))
+        notes.append(meanings(others, condition.every_key))
     return (*notes, *((SHARE_NOTE,) if condition.points else ()))
+
+
+def _rank_note(ranking: Standings) -> str:
+    note = _FRONT_NOTE if ranking.is_pareto else _RANK_NOTE
+    if ranking.tested:
+        return note
+    return f"{_FRONT_NOTE} {_MEDIANS_NOTE}" if ranking.is_pareto else _MEDIANS_NOTE
 
 
 @dataclass(frozen=True)
@@ -205,7 +220,7 @@ def matrix_table(
         for place in places
         for key in place.condition.headline
     ]
-    keys = dict.fromkeys(metric_name(key) for place in places for key in place.condition.headline)
+    keys = dict.fromkeys(place.condition.name_of(key) for place in places for key in place.condition.headline)
     caption = f"{' or '.join(keys)}: medians over the seeds, and ranges"
     said = (
         *notes,
@@ -278,7 +293,7 @@ def rank_columns(ranking: Standings, order: Sequence[ControllerResults]) -> list
 
 def rank_notes(ranking: Standings, left_out: Mapping[str, str]) -> list[str]:
     """Say what the ranks over all scenarios of a problem are."""
-    notes = [_RANK_NOTE if ranking.tested else _MEDIANS_NOTE]
+    notes = [_rank_note(ranking)]
     notes.append(
         "Of each seed the median of its scenarios counts, so that scenarios do not multiply the seeds."
     )

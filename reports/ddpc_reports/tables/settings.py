@@ -13,6 +13,7 @@ import numpy as np
 from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.disturbances import ForecastFile
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
     BandSection,
@@ -27,9 +28,8 @@ from ddpc_cosim.study.file_format.sections import (
 from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
-from ddpc_reports.figures.clock import time_words
 from ddpc_reports.figures.time_charts import Mark
-from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
+from ddpc_reports.numbers import MISSING, as_given, computed, given_time, unit_symbol, with_unit
 
 _LONG = 600.0
 """From how many seconds on times of signals are written as people say them."""
@@ -273,6 +273,8 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
         (f"smallest relevant difference: {kind}", text)
         for kind, text in (_others(relevant, ()) if relevant else ())
     ]
+    if study.metrics.ranking is not None:
+        facts.append(("ranking", study.metrics.ranking))
     facts.append(("seeds", compact_seeds(study.seeds)))
     own_limits = any(section.bounds for section in study.controllers.values())
     but = ", but for limits of their own" if own_limits else ""
@@ -287,14 +289,21 @@ def _wanted_as(section: Any) -> str:
 def _outside_facts(study: Study, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield what acts from outside and is known, and what signals cost."""
     for (name, section), known in zip(study.disturbances.items(), known_words(study), strict=True):
-        course = f"its course: {_signal(section.signal, units.get(name, ''))}" if section.signal else ""
-        yield f"disturbance {_plain(name)}", "; ".join(filter(None, (known.partition(": ")[2], course)))
+        words = [f"{section.known}: {known.partition(': ')[2]}"]
+        words += [f"forecasts: {value_text(_short(section.forecast))}"] if section.forecast else []
+        words += [f"its course: {_signal(section.signal, units.get(name, ''))}"] if section.signal else []
+        yield f"known disturbance {_plain(name)}", "; ".join(words)
     for name, price in study.prices.items():
         factor = f"{as_given(price.factor)} · " if price.factor != 1.0 else ""
         ahead = "known ahead" if price.known else "not known ahead"
         paid = f"{_course(price.price, price.unit)} for {factor}{_plain(price.signal)}, {ahead}"
         emitted = f"; emissions: {_course(price.emissions, price.emissions_unit)}" if price.emissions else ""
-        yield f"price of {_plain(name)}", f"{paid}{emitted}"
+        yield f"price {_plain(name)}", f"{paid}{emitted}"
+
+
+def _short(forecast: ForecastFile) -> dict[str, Any]:
+    """Return what is said of a file of forecasts; its folder is that of one machine."""
+    return {**differing(forecast), "file": Path(forecast.file).name}
 
 
 _KNOWN = {
@@ -378,10 +387,10 @@ def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     seconds = {"start time": loop.start_time, "longest time for a call": loop.step_timeout}
     samples = f"{loop.steps} sample" if loop.steps == 1 else f"{loop.steps} samples"
     return [
-        ("sampling time", time_words(loop.sampling_time)),
-        ("duration", f"{time_words(loop.duration)}, {samples}"),
+        ("sampling time", given_time(loop.sampling_time)),
+        ("duration", f"{given_time(loop.duration)}, {samples}"),
         ("start", starts.get(loop.start, loop.start)),
-        *((name, time_words(value)) for name, value in seconds.items()),
+        *((name, given_time(value)) for name, value in seconds.items()),
         *([("warm-up", _warm_up_words(loop))] if loop.warm_up else []),
         *((f"loop: {name}", text) for name, text in _others(loop, said)),
     ]
@@ -392,7 +401,7 @@ def _warm_up_words(loop: LoopSection) -> str:
     under = "the plant's own control, or inputs at rest"
     if section := loop.warm_up_controller:
         under = section.type + (f" ({mapping_text(section.settings)})" if section.settings else "")
-    return f"{time_words(loop.warm_up)} before the start, not judged, under {under}"
+    return f"{given_time(loop.warm_up)} before the start, not judged, under {under}"
 
 
 def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -409,10 +418,10 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
     ]
     facts += [
         (f"{name} in the recording", _signal(signal, units.get(name, "")))
-        for name, signal in (recording.inputs | recording.disturbances).items()
+        for name, signal in (*recording.inputs.items(), *recording.disturbances.items())
     ]
     if recording.start_time is not None:
-        facts.append(("recording: start time", time_words(recording.start_time)))
+        facts.append(("recording: start time", given_time(recording.start_time)))
     said = {"samples", "controller", "excitation", "inputs", "file", "disturbances", "start_time"}
     others = _others(recording, said)
     return facts + [(f"recording: {name}", text) for name, text in others]
@@ -461,29 +470,30 @@ def _signal(section: Any, own_unit: str) -> str:
     return f"{kind}{words or 'none'} (values in {unit or whose_unit})"
 
 
-_TIMES = {"times", "start_time", "from_time", "to_time", "period"}
+_TIMES = {"times", "start_time", "from_time", "to_time", "period", "hold"}
 """Keys of signals that are times."""
 
 
 def _entries_of(values: Mapping[str, Any]) -> str:
     """Write the values of a signal by their names, times of long runs as people say them."""
-    given = {key: value for key, value in values.items() if value != ""}
+    given = {key: value for key, value in values.items() if value != "" and (key, value) != ("period", 0)}
     return ", ".join(f"{key.replace('_', ' ')} {_entry_text(key, value)}" for key, value in given.items())
 
 
 def _entry_text(key: str, value: Any) -> str:
     if key in _TIMES and np.max(np.abs(value), initial=0.0) >= _LONG:
-        if isinstance(value, list | tuple):
-            return f"[{', '.join(map(time_words, value))}]"
-        return time_words(value)
+        return f"[{', '.join(map(given_time, value))}]" if isinstance(value, list) else given_time(value)
     if isinstance(value, Mapping) and "kind" in value:
         return _written_signal(value)
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return f"[{', '.join(map(_written_signal, value))}]"
     return value_text(value)
 
 
 def _written_signal(table: Mapping[str, Any]) -> str:
     """Write a signal that stands within another table."""
-    return f"{table['kind']} ({_entries_of(_without(table, {'kind', 'unit'}))})"
+    unit = f", in {unit_symbol(table['unit']) or table['unit']}" if table.get("unit") else ""
+    return f"{table['kind']} ({_entries_of(_without(table, {'kind', 'unit'}))}{unit})"
 
 
 @dataclass(frozen=True)
@@ -571,12 +581,8 @@ def _events(section: ScenarioSection) -> Iterator[Effect]:
         )
         before |= after
     for event in section.events:
-        text = f"at {_when(event.time)}: {mapping_text(event.parameters)}"
+        text = f"at {given_time(event.time)}: {mapping_text(event.parameters)}"
         yield Effect(text, (Mark(briefly[id(event)], event.time, event.time),))
-
-
-def _when(seconds: float) -> str:
-    return time_words(seconds).replace("\u00a0", " ")
 
 
 def _recording_text(changes: RecordingChanges) -> str:
@@ -584,7 +590,7 @@ def _recording_text(changes: RecordingChanges) -> str:
 
 
 def _drift_effect(drift: Drift) -> Effect:
-    first, last = _when(drift.start_time), _when(drift.stop_time)
+    first, last = given_time(drift.start_time), given_time(drift.stop_time)
     old, new, name = as_given(drift.start), as_given(drift.stop), _plain(drift.parameter)
     text = f"{name} from {old} to {new} between {first} and {last}"
     return Effect(text, (Mark(f"{name} {old} → {new}", drift.start_time, drift.stop_time),))

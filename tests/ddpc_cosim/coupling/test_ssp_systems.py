@@ -1,7 +1,7 @@
 """A quarter car and a double pendulum as SSP archives, against their monolithic equations."""
 
 from collections.abc import Mapping, Sequence
-from math import cos, pi, radians, sin
+from math import cos, exp, pi, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from studies import cases_in, study_text, write
 
 from ddpc_cosim.codec import read
+from ddpc_cosim.inspection.systems import inspect_ssp
+from ddpc_cosim.study.cases import run_case
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants import Equations, PlantModel, Symbols, Variable, tunable
@@ -259,3 +262,48 @@ def test_a_linear_transformation_on_a_connection(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         run(path, ["one.y", "two.y"], {}, 0.1, 1, algorithm="sequential"), [[2.0, 52.6]] * 2
     )
+
+
+def _overridden(v: Symbols) -> Equations:
+    return Equations({"T": v.on_activate * v.on_u + (1 - v.on_activate) * 5.0 - v.T})
+
+
+OVERRIDDEN = PlantModel(
+    name="overridden",
+    states=(Variable("T"),),
+    inputs=(Variable("on_u"), Variable("on_activate", "1", 0.0, 1.0)),
+    outputs=(Variable("T"),),
+    equations=_overridden,
+)
+
+
+def test_connectors_that_lead_to_an_override_and_its_switch_are_one_actuator(tmp_path: Path) -> None:
+    text = ssd(
+        system(
+            "outer",
+            component("a", "resources/a.fmu", "input on_u, input on_activate, output T"),
+            connections=connection("heat", "a/on_u")
+            + connection("on", "a/on_activate")
+            + connection("a/T", "T"),
+            connectors="input heat, input on, output T",
+        )
+    )
+    path = write_ssp(tmp_path / "room.ssp", text, {"resources/a.fmu": OVERRIDDEN})
+    assert inspect_ssp(path).switches == {"heat": "on"}
+    file = write(
+        tmp_path,
+        study_text(
+            plant={"ssp": str(path)},
+            reference={"T": 1.0},
+            controllers={"own": "plant", "p": {"type": "pid", "settings": {"proportional": 1.0}}},
+            loop={"sampling_time": 0.5, "duration": 2.0},
+        ),
+    )
+    own, driven = (run_case(case) for case in cases_in(file))
+    assert [variable.name for variable in own.inputs] == ["heat"]
+    np.testing.assert_allclose(own.y[:, 0], 5.0 * (1.0 - np.exp(-own.time)), rtol=1e-6)
+    expected = [0.0]
+    for _ in range(4):  # y' = u - y, u = 1 - y at the samples
+        u = 1.0 - expected[-1]
+        expected.append(u + (expected[-1] - u) * exp(-0.5))
+    np.testing.assert_allclose(driven.y[:, 0], expected, rtol=1e-6)

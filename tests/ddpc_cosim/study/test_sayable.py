@@ -38,7 +38,9 @@ from ddpc_cosim import (
     ParameterChange,
     Price,
     Problem,
+    Product,
     Ramp,
+    RandomLevels,
     RecordedSignal,
     Recording,
     Scenario,
@@ -47,6 +49,7 @@ from ddpc_cosim import (
     Sine,
     Steps,
     Study,
+    Sum,
     UniformRandom,
     WhiteNoise,
 )
@@ -65,11 +68,17 @@ OPEN_LOOP: dict[str, Any] = {"sampling_time": 0.1, "duration": 1.0, "reference":
 FILE_SIGNAL = SignalFromFile("a.csv", column="b", time_column="t", interpolation="linear", unit="deg")
 SIGNALS = {
     "constant": Constant(1.0, unit="deg"),
-    "steps": Steps([0.0], [1.0], unit="deg"),
-    "interpolated": Interpolated([0.0], [1.0], unit="deg"),
+    "steps": Steps([0.0], [1.0], unit="deg", period=2.0),
+    "interpolated": Interpolated([0.0], [1.0], unit="deg", period=2.0),
     "ramp": Ramp(0.0, 1.0, 0.0, 1.0, unit="deg"),
     "sine": Sine(1.0, 2.0, 3.0, 4.0, unit="deg"),
     "file": FILE_SIGNAL,
+}
+RANDOM = RandomLevels(0.0, 1.0, 0.5, interpolation="linear", unit="deg")
+ACTING = SIGNALS | {
+    "random": RANDOM,
+    "sum": Sum([Constant(1.0), RANDOM], unit="deg"),
+    "product": Product([RANDOM, Constant(0.5)], unit="deg"),
 }
 EXPERIMENT = MixedExcitation(
     (
@@ -141,6 +150,7 @@ def pendulum(**changes: Any) -> Problem:
         "relevant": {"absolute": 0.1, "percent": 2.0},
         "start": {"torque": 0.1},
         "nominal": {"torque": 3.5},
+        "switches": {"torque": ""},
         "display_units": {"angle": "rad"},
         "step_timeout": 20.0,
         "case_timeout": 100.0,
@@ -240,10 +250,11 @@ PROBLEMS = {
         inputs=["a", "b", "c", "d", "e"],
         outputs=["y"],
         fmi_type="model-exchange",
+        switches={"a": "a_on"},
         excitation=EXPERIMENT,
         recorded_inputs={"w": SIGNALS["steps"]},
         continue_recording=True,
-        conditions=Conditions(inputs=dict(SIGNALS), recorded_inputs={"steps": Constant(1.0)}),
+        conditions=Conditions(inputs=dict(ACTING), recorded_inputs={"steps": Constant(1.0)}),
         noise={"y": 0.1},
         events=[ParameterChange(0.5, {"a": 0.2})],
         **OPEN_LOOP,

@@ -232,6 +232,14 @@ controllers.mfac = { type = "mfac" }
 """
 
 
+PRICE = """
+[prices.wear]
+signal = "torque"
+price = 1.0
+unit = "EUR/N.m.s"
+"""
+
+
 @pytest.mark.parametrize(
     "relevant",
     [
@@ -263,6 +271,16 @@ def test_what_difference_is_relevant_changes_no_case(relevant: str, tmp_path: Pa
             TWO,
             "{ absolute = { level_1 = 0.5 } }\ncost = { outputs = { level_1 = 1 } }",
             "must be a number, as controllers are ranked by metrics.cost",
+        ),
+        (
+            SMALL + PRICE,
+            "{ absolute = 0.5 }",
+            "one number for money and discomfort; needed: one for each, e.g. { money = 0.5, angle = 0.5 }",
+        ),
+        (
+            SMALL + PRICE,
+            "{ absolute = { mony = 1 } }",
+            'no controlled output, or money, "mony"; did you mean "money"',
         ),
     ],
 )

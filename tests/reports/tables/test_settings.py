@@ -50,6 +50,7 @@ CONTENT: dict[str, Any] = {
         "nominal": {"angle": 0.5},
         "fmi_type": "co-simulation",
         "isolated": True,
+        "switches": {"torque": "torque_on"},
         "parts": [
             {"name": "motor", "plant": "drive", "step": 0.01, "parameters": {"gain": 2.0}},
             {
@@ -76,6 +77,8 @@ CONTENT: dict[str, Any] = {
         "duration": 6.0,
         "start_time": 2.0,
         "start": "recording-end",
+        "warm_up": 1.0,
+        "warm_up_controller": {"type": "pid", "settings": {"proportional": 3.0}},
         "step_timeout": 5.0,
         "case_timeout": 60.0,
         "memory_limit": 1.5,
@@ -109,8 +112,31 @@ CONTENT: dict[str, Any] = {
             "interpolation": "linear",
             "unit": "deg",
         },
+        "band": {
+            "band": {"lower": 20.0, "upper": {"kind": "constant", "value": 24.0, "unit": "degC"}},
+            "unit": "degC",
+        },
     },
     "bounds": {"torque": {"min": -3.0, "max": 3.5, "unit": "N.m"}, "angle": {"max": 70.0, "unit": "deg"}},
+    "disturbances": {
+        "wind": {
+            "signal": {"kind": "constant", "value": 2.0, "unit": "N"},
+            "known": "medium",
+            "lag": 1,
+            "forecast": {"file": "forecasts.csv", "time_column": "issued", "unit": "N"},
+        }
+    },
+    "prices": {
+        "electricity": {
+            "signal": "torque",
+            "price": 0.25,
+            "unit": "EUR/kWh",
+            "factor": 0.5,
+            "known": False,
+            "emissions": 0.1,
+            "emissions_unit": "g/kWh",
+        }
+    },
     "recording": {
         "samples": 200,
         "excitation": {
@@ -145,6 +171,8 @@ CONTENT: dict[str, Any] = {
         },
         "controller": {"type": "pid", "settings": {"gains": [1.0, 2.0]}},
         "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [0.5, 1.5], "unit": "m/s"}},
+        "disturbances": {"wind": {"kind": "constant", "value": 3.0, "unit": "m/s"}},
+        "start_time": -20.0,
         "file": ["monday.csv", "tuesday.csv"],
         "columns": {"angle": "Angle"},
         "time_column": "t",
@@ -203,9 +231,33 @@ CONTENT: dict[str, Any] = {
                         "interpolation": "linear",
                         "unit": "deg",
                     },
+                    {
+                        "kind": "sum",
+                        "unit": "deg",
+                        "parts": [
+                            {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "period": 3.0},
+                            {
+                                "kind": "random",
+                                "low": 1.0,
+                                "high": 2.0,
+                                "hold": 0.5,
+                                "interpolation": "linear",
+                                "unit": "deg",
+                            },
+                        ],
+                    },
+                    {
+                        "kind": "product",
+                        "unit": "deg",
+                        "parts": [
+                            {"kind": "interpolated", "times": [0.0, 2.0], "values": [1.0, 1.0], "period": 3.0}
+                        ],
+                    },
                 ]
             },
             "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
+            "known": {"wind": "perfect"},
+            "prices": {"electricity": 0.375},
             "bounds": {"torque": {"min": -2.0, "max": 2.5, "unit": "N.m"}},
             "rate_limit": {"torque": 2.0},
             "backlash": {"torque": 0.25},
@@ -224,6 +276,7 @@ CONTENT: dict[str, Any] = {
     "metrics": {
         "cost": {"outputs": {"angle": 2.0}, "inputs": {"torque": 0.1}, "changes": {"torque": 0.2}},
         "relevant": {"absolute": 0.125, "percent": 3.5},
+        "ranking": "pareto",
     },
     "report": {
         "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
@@ -273,6 +326,7 @@ def alternatives(value: Any) -> list[Any]:
 
 
 _WORDS = ("model-exchange", "co-simulation", "rest", "hold", "schroeder", "linear", "sequential")
+_WORDS += ("low", "money")
 
 
 def changes(content: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
@@ -341,8 +395,9 @@ def sections_in(hint: Any) -> Iterator[type]:
     for argument in get_args(hint):
         yield from sections_in(argument)
     for annotation in getattr(hint, "__metadata__", ()):
-        for kind in annotation.classes.values() if isinstance(annotation, Kinds) else ():
-            yield from sections_in(kind)
+        if isinstance(annotation, Kinds):
+            for kind in (*annotation.classes.values(), *annotation.marked.values()):
+                yield from sections_in(kind)
 
 
 def set_keys(section: Any, table: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -477,7 +532,10 @@ def test_a_scenario_that_only_drifts_says_so(make_results: MakeResults) -> None:
     results = make_results(scenarios={"constant": {}, "slow": {"label": "Slow drift", "drifts": [drift]}})
     rows = loop_rows(results)
     assert rows["scenario constant"] == "nothing changed"
-    assert rows["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
+    assert (
+        rows["scenario Slow drift (slow)"]
+        == "mass from 1 to 0.5 between 5\N{NO-BREAK SPACE}s and 65\N{NO-BREAK SPACE}s"
+    )
 
 
 def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResults) -> None:
