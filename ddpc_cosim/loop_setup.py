@@ -291,6 +291,7 @@ class LoopSetup:
         places |= {v.name: len(self.plant.outputs) + i for i, v in enumerate(self._measured_inputs)}
         self._d = np.array([places[name] for name in self._declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in self._declared.values()]
+        self.acting = tuple(self._declared)
         self.known = np.array([disturbance.is_known for disturbance in self._declared.values()], dtype=bool)
         self.disturbances = tuple(
             self._sensed[place] for place, is_known in zip(self._d, self.known, strict=True) if is_known

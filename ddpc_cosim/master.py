@@ -314,6 +314,7 @@ def cosimulate(
         provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
         disturbances=setup.disturbances,
+        acting=setup.acting,
         bands=loop.bands,
         moving_limits=limits.moving,
         charges=setup.charges,

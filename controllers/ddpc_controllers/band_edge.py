@@ -41,6 +41,8 @@ class BandEdge(SingleWrapper):
 
     def step(self, sample: Sample) -> Action:
         """Return the controller's inputs for references at the edges."""
+        if not self._is_band.any():
+            return self._inner.step(sample)
         now = self._line(sample.setpoint, sample.band_now)
         ahead = self._line(sample.reference, sample.band)
         return self._inner.step(
@@ -55,8 +57,6 @@ class BandEdge(SingleWrapper):
 
     def _line(self, reference: FloatArray, band: FloatArray) -> FloatArray:
         """Return references, shape (..., p): of a band its edge, drawn in, and at most its middle."""
-        if not self._is_band.any():
-            return reference
         lower, upper = band[..., 0], band[..., 1]
         inside = np.minimum(self._margin, (upper - lower) / 2)
         edge = lower + inside if self.edge == "lower" else upper - inside

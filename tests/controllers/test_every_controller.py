@@ -18,6 +18,7 @@ from ddpc_controllers import (
     SPC,
     SPSA,
     WKPC,
+    BandEdge,
     Cascade,
     Decentralised,
     DeePC,
@@ -91,6 +92,7 @@ MODEL_BASED: dict[str, Controller] = {
     "scaled-koopman": Scaled(controller=KoopmanMPC()),
     "offset-free-deepc": OffsetFree(controller=DeePC()),
     "offset-free-mpc": OffsetFree(controller=MPC(disturbance="none")),
+    "band-edge-spc": BandEdge(controller=SPC()),
 }
 SET_UP = dict(zip(IDS, VARIANTS, strict=True)) | MODEL_BASED
 DEFAULTS = {"deepc", "spc", "gamma-ddpc", "wkpc", "mfapc", "mpc", "lqr", "koopman"}

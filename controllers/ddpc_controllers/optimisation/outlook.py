@@ -8,6 +8,7 @@ own time, t_k+i or t_k+i+1, whichever the method's first one is.
 """
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -154,6 +155,7 @@ class Outlook:
         }
         self.windows = {name: size for name, size in sizes.items() if size[1]}
         self.moves_inputs = INPUT_LIMITS in self.windows
+        self._holds_bands = BAND in self.windows
         self._passing = past > 0 and D in self.windows
         self._arrange(loop, settings.use_forecast, units)
 
@@ -180,9 +182,9 @@ class Outlook:
         np.take(values, self._places, out=ahead, mode="clip")
         if self._units is not None:
             ahead /= self._units
-        if BAND in self.windows:
+        if self._holds_bands and not isfinite(np.dot(ahead, ahead)):
             edges = parameters.window(BAND)
-            np.minimum(np.maximum(edges, -_ENDLESS, out=edges), _ENDLESS, out=edges)
+            np.clip(edges, -_ENDLESS, _ENDLESS, out=edges)
 
     def now(self, parameters: ParameterVector) -> FloatArray:
         """Return the disturbances of this sample, shape (n_d,), after :meth:`fill`."""
@@ -191,8 +193,7 @@ class Outlook:
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""
         if self._passing:
-            d = parameters.window(D)
-            d[:-1] = d[1:]
+            parameters.shift(D)
 
     def _arrange(
         self,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.standings import Standings
-from ddpc_cosim.study.verdicts.statistics import Runs, compare_pairs
+from ddpc_cosim.study.verdicts.statistics import Difference, Runs, compare_pairs
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import Study
@@ -72,24 +72,23 @@ class Knowing(NamedTuple):
 def knowing(study: "Study", ranking: Standings) -> Knowing | None:
     """Return what knowing is worth; None where no scenarios differ in it alone, or it is worth nothing.
 
-    Compared are runs of the same seed; those that failed are in no pair. All controllers in all scenarios
-    are one family of tests in each figure.
+    Compared are runs of the same seed; a controller of which one failed is left out. All controllers in all
+    scenarios are one family of tests in each figure.
     """
     scenarios = _scenarios(study)
     if len(scenarios) < 2 or not ranking.keys or ranking.is_of_money:
         return None
     least, *more = scenarios
-    better = {key: _told_better(key, least, more, ranking) for key in ranking.keys}
+    compared = [_compared(key, least, more, ranking) for key in ranking.keys]
     gaining, others = list[Worth](), list[str]()
     for controller in ranking.runs[ranking.keys[0]]:
-        left = {
-            scenario: _left({key: ranking.runs[key][controller] for key in ranking.keys}, least, scenario)
-            for scenario in more
-        }
-        if any(map(math.isnan, left.values())):
+        figures = {key: ranking.runs[key][controller] for key in ranking.keys}
+        left = {scenario: _left(figures, least, scenario) for scenario in more}
+        differences = [of_key[scenario, controller] for of_key in compared for scenario in more]
+        if not all(map(_is_known, differences)) or any(map(math.isnan, left.values())):
             continue
-        is_sure = any(controller in names for names in better.values())
-        if is_sure and min(left.values()) < _LEAST_GAIN:
+        is_better = any(difference.told_apart and difference.won > 0.5 for difference in differences)
+        if is_better and min(left.values()) < _LEAST_GAIN:
             gaining.append(Worth(controller, left))
         else:
             others.append(controller)
@@ -120,31 +119,28 @@ def _scenarios(study: "Study") -> list[str]:
     return [distinct[size] for size in sorted(distinct)]
 
 
-def _told_better(key: str, least: str, more: list[str], ranking: Standings) -> set[str]:
-    """Return the controllers that the seeds tell to be better in a scenario than where the least is known."""
+def _compared(key: str, least: str, more: list[str], ranking: Standings) -> dict[tuple[str, str], Difference]:
+    """Return what each controller's runs in a scenario differ by from those where the least is known."""
     runs = ranking.runs[key]
     table = {
-        f"{scenario} {name}": _within(scenario, runs[name]) for name in runs for scenario in (least, *more)
+        f"{scenario} {name}": _within(scenario, of_controller)
+        for name, of_controller in runs.items()
+        for scenario in (least, *more)
     }
-    pairs = [
-        (f"{scenario} {name}", f"{least} {name}")
-        for name in runs
-        for scenario in more
-        if table[f"{scenario} {name}"] and table[f"{least} {name}"]
-    ]
-    differences = compare_pairs(table, pairs, metric_of(key).better)
-    owners = {f"{scenario} {name}": name for name in runs for scenario in more}
-    return {
-        owners[first]
-        for (first, _), difference in differences.items()
-        if difference.told_apart and difference.won > 0.5
+    pairs = {
+        (scenario, name): (f"{scenario} {name}", f"{least} {name}") for name in runs for scenario in more
     }
+    differences = compare_pairs(table, pairs.values(), metric_of(key).better)
+    return {which: differences[pair] for which, pair in pairs.items()}
+
+
+def _is_known(difference: Difference) -> bool:
+    """Whether all runs are in pairs, so that the seeds can tell, or nothing depends on them."""
+    return difference.tested or difference.constant
 
 
 def _within(scenario: str, runs: Runs) -> Runs:
-    return {
-        ("", seed): value for (where, seed), value in runs.items() if where == scenario and value == value
-    }
+    return {("", seed): value for (where, seed), value in runs.items() if where == scenario}
 
 
 def _left(runs: Mapping[str, Runs], least: str, scenario: str) -> float:

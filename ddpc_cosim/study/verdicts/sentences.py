@@ -209,16 +209,18 @@ def knowing_clause(found: Knowing | None, controllers: Labels, scenarios: Labels
     if found is None:
         return Markup("")
     what = join_words([metric_name(name) for name in dict.fromkeys(split_key(key)[0] for key in found.keys)])
-    parts = [f"{_percent(found.typical(scenario))} ({scenarios[scenario]})" for scenario in found.more]
+    left: dict[str, list[str]] = {}
+    for scenario in found.more:
+        left.setdefault(_part(found.typical(scenario)), []).append(scenarios[scenario])
+    parts = [f"{part} ({join_words(labels)})" for part, labels in left.items()]
     first, count = found.gaining[0], len(found.gaining)
-    who = "the controller that gains" if count == 1 else f"the {count} controllers that gain, in their median"
-    text = Markup("knowing the disturbances leaves {}, {} of the {} that is there without ({})").format(
-        who, join_words(parts), what, scenarios[found.least]
+    whose = "the controller that gains" if count == 1 else f"the {count} controllers that gain (median)"
+    text = Markup("knowing the disturbances leaves {} {} of their {} without ({})").format(
+        whose, join_words(parts), what, scenarios[found.least]
     )
     if count > 1:
-        text += Markup("; {} gains most ({})").format(
-            italic(controllers[first.controller]), _percent(first.most)
-        )
+        most = italic(controllers[first.controller]), _part(first.most)
+        text += Markup("; {} gains most ({})").format(*most)
     if found.others:
         text += Markup("; {} {} nothing").format(
             some_of([italic(controllers[name]) for name in found.others]),
@@ -227,8 +229,9 @@ def knowing_clause(found: Knowing | None, controllers: Labels, scenarios: Labels
     return text
 
 
-def _percent(part: float) -> str:
-    return f"{100 * part:.2g}\u00a0%"
+def _part(part: float) -> str:
+    """Write what is left, in percent, and what is more than before as a multiple."""
+    return f"{100 * part:.2g}\u00a0%" if part < 0.995 else f"{part:.2g} times"
 
 
 def elsewhere_sentence(findings: Findings, controllers: Labels) -> Markup:

@@ -48,6 +48,7 @@ CONTENT: dict[str, Any] = {
         "start": {"torque": 0.25},
         "display_units": {"angle": "deg"},
         "nominal": {"angle": 0.5},
+        "switches": {"torque": "torque_on"},
         "fmi_type": "co-simulation",
         "isolated": True,
         "parts": [
@@ -86,7 +87,13 @@ CONTENT: dict[str, Any] = {
     "reference": {
         "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
         "constant": {"kind": "constant", "value": 1.0, "unit": "m"},
-        "points": {"kind": "interpolated", "times": [0.0, 3.0], "values": [1.0, 2.0], "unit": "m"},
+        "points": {
+            "kind": "interpolated",
+            "times": [0.0, 3.0],
+            "values": [1.0, 2.0],
+            "unit": "m",
+            "period": 6.0,
+        },
         "ramp": {
             "kind": "ramp",
             "from_value": 0.0,
@@ -230,9 +237,37 @@ CONTENT: dict[str, Any] = {
                         "interpolation": "linear",
                         "unit": "deg",
                     },
+                    {
+                        "kind": "sum",
+                        "parts": [
+                            {"kind": "constant", "value": 0.5},
+                            {
+                                "kind": "random",
+                                "low": -0.25,
+                                "high": 0.25,
+                                "hold": 3.0,
+                                "interpolation": "linear",
+                                "unit": "rad",
+                            },
+                        ],
+                        "unit": "deg",
+                    },
+                    {
+                        "kind": "product",
+                        "parts": [{"kind": "sine", "amplitude": 0.125, "frequency": 0.5}],
+                        "unit": "deg",
+                    },
                 ]
             },
-            "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
+            "inputs": {
+                "wind": {
+                    "kind": "steps",
+                    "times": [0.0, 2.0],
+                    "values": [1.0, 2.0],
+                    "unit": "m/s",
+                    "period": 8.0,
+                }
+            },
             "known": {"wind": "perfect"},
             "prices": {"electricity": 0.375},
             "bounds": {"torque": {"min": -2.0, "max": 2.5, "unit": "N.m"}},
