@@ -519,7 +519,7 @@ class LoopSetup:
         tables.setflags(write=False)
         return tables[0], tables[1]
 
-    def expected(self, time: FloatArray, first: int, samples: int) -> Expected:
+    def expected(self, time: FloatArray, first: int, samples: int, *, is_before: bool) -> Expected:
         """Return what is expected of the disturbances at the samples of a run that has been started.
 
         Parameters
@@ -530,6 +530,8 @@ class LoopSetup:
             Its number among those of the run.
         samples : int
             Number of samples of the run from there on.
+        is_before : bool
+            It is an experiment or a warm-up, which files of forecasts need not tell: there they are not used.
         """
         times = RunTimes(float(time[0]), self.sampling_time, samples)
         ahead = len(time) - samples
@@ -544,10 +546,13 @@ class LoopSetup:
             elif disturbance.signal is not None:
                 signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
                 truth[:, i] = values_at(signal, what, time)
+            lags.append(disturbance.lag)
+            if is_before and disturbance.forecast is not None:
+                forecasts.append(None)
+                continue
             seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
             rng = np.random.default_rng(seed)
             forecasts.append(disturbance.forecasts(variable, truth[:, i], times, longest, rng))
-            lags.append(disturbance.lag)
         return Expected(forecasts, lags, truth)
 
     @property
@@ -603,10 +608,12 @@ class LoopSetup:
         samples: int,
         horizon: int,
         preview: int,
+        *,
+        is_before: bool = False,
     ) -> Outlook:
         """Return what a controller may look at in a run that has been started; parameters as there."""
         price, _ = self.prices_at(time)
-        expected = self.expected(time, first, samples)
+        expected = self.expected(time, first, samples, is_before=is_before)
         return Outlook(wish, limits, self.charges, price, expected, horizon, preview)
 
     def wanted(self, reference: Reference | Band | Wanted) -> Wanted:
