@@ -12,6 +12,7 @@ from .controller import (
     Loop as Loop,
     Recording as Recording,
     Sample as Sample,
+    further_arguments as further_arguments,
 )
 from .coupling.plant import CoupledPlant as CoupledPlant
 from .coupling.wiring import Connection as Connection

@@ -400,15 +400,56 @@ class ControllerCode:
 
         ``y`` are the controlled outputs, then the measurements that are not among them, NaN where one is
         missing; ``r`` the setpoint r_k and after it r_{k+1} ... r_{k+preview}, the outputs of a sample side
-        by side; ``u`` takes the inputs, finite and within their bounds. The step returns 0, or a sum of
+        by side, and after that what :func:`further_arguments` lists, which only some loops have;
+        ``u`` takes the inputs, finite and within their bounds. The step returns 0, or a sum of
         powers of two that say why ``u`` is a fallback; ``state->status`` is this value, and
         ``state->iterations`` and ``state->active_bounds`` are what the optimisation needed and met.
     statuses : mapping of int to str
         What each of these powers of two says.
+    follows : bool
+        Whether ``controller.h`` also defines ``CONTROLLER_FOLLOWS`` and declares ::
+
+            void controller_follow(
+                ControllerState *state, const double y[], const double r[], const double u[]);
+
+        which takes a sample at which another controller applied ``u``: the hand-over of :attr:`Loop.past`.
     """
 
     sources: Mapping[str, str]
     statuses: Mapping[int, str]
+    follows: bool = False
+
+
+def further_arguments(loop: Loop, horizon: int) -> dict[str, tuple[int, ...]]:
+    """Return what follows the references in ``r`` of ``controller_step``, in its order.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop that the controller was started with.
+    horizon : int
+        The controller's.
+
+    Returns
+    -------
+    shapes : dict of str to tuple of int
+        Fields of :class:`Sample` that this loop has, and how much of each: time along axis 0 but for
+        ``disturbance`` and ``band_now``. What is known as far as the reference has its rows only, the first
+        ones of the field (of ``output_limits`` one at least); the last one holds beyond. NaN is what is not
+        known, in place of which the row before holds, of the first row the last value that was known.
+    """
+    preview = min(loop.preview, horizon)
+    m, p, n_d, prices = map(len, (loop.inputs, loop.outputs, loop.disturbances, loop.charges))
+    shapes: dict[str, tuple[int, ...]] = {}
+    if n_d:
+        shapes |= {"disturbance": (n_d,), "forecast": (horizon, n_d)}
+    if loop.bands:
+        shapes |= {"band_now": (p, 2), "band": (preview, p, 2)}
+    if prices:
+        shapes |= {"price": (horizon + 1, prices)}
+    if loop.moving_limits:
+        shapes |= {"input_limits": (preview + 1, m, 2), "output_limits": (max(preview, 1), p, 2)}
+    return shapes
 
 
 class Controller(ABC):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.disturbances import Forecasts, KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
@@ -537,7 +537,7 @@ class LoopSetup:
         ahead = len(time) - samples
         longest = ahead if self._forecast_horizon is None else self._forecast_horizon
         truth = np.full((len(time), len(self.disturbances)), np.nan)
-        forecasts, lags = [], []
+        forecasts, lags = list[Forecasts | None](), list[int]()
         for i, variable in enumerate(self.disturbances):
             disturbance = self._declared[variable.name]
             if variable in self._measured_inputs:

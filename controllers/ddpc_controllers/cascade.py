@@ -6,11 +6,11 @@ adaptive control cascaded with intelligent PID, Chinese Control and Decision Con
 (section III), and what an i-PID controller has stabilised is one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class Cascade(Wrapper):
 
     A status of either is passed on with its name.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ()
 
     inner: Controller = setting(default_factory=IPID, doc="the controller that drives the plant")
     outer: Controller = setting(default_factory=MFAPC, doc="the controller that sets its reference")

@@ -1,9 +1,9 @@
 """Decentralised control: one controller for every group of inputs and outputs, on its part of the loop."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Group:
 @dataclass(kw_only=True)
 class Decentralised(Wrapper):
     """One controller per group of inputs and outputs."""
+
+    _known_in_c: ClassVar[Collection[str]] = ()
 
     groups: Sequence[Group] = setting(
         kind=Group, doc="the groups: every input and every output is in exactly one"

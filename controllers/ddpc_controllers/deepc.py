@@ -13,7 +13,7 @@ a price on what the least-squares prediction does not explain of it, the loop dr
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
@@ -36,7 +36,7 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
@@ -82,6 +82,8 @@ class BehavioralTracking(Foresight, ScaledSignals):
 
     A step evaluates the law, and calls none of them.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
@@ -206,8 +208,8 @@ class BehavioralTracking(Foresight, ScaledSignals):
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the window and the law."""
         code.kernel("window")
-        steps, limits = self.apply_steps, self._limits.tables()
-        law = add_law(code, self._law, self._planned[1])
+        steps, limits, outlook = self.apply_steps, self._limits.tables(), self._outlook
+        law = add_law(code, self._law, self._planned[1], outlook.moves_inputs)
         window = code.constant(
             "Window",
             m=self._inputs,
@@ -221,12 +223,16 @@ class BehavioralTracking(Foresight, ScaledSignals):
             high=code.doubles(limits["high"]),
             rates=code.doubles(self._rates),
             law=law.pointer,
+            **outlook.members(code, self._limits),
         )
         forecast = np.zeros(steps * self._outputs)
         forecast[: self._outputs] = self._forecast[: self._outputs]
         rest = np.zeros(self._planned[1] + law.memory)
-        memory = code.memory([*self._parameters.array, self._resting, 0.0, *forecast, *rest])
-        return code.step(f"step_window(&{window}, {memory}, sample, u, told);")
+        parameters, sizes = self._parameters.array, self._parameters.sizes
+        limited = np.zeros(2 * steps * self._inputs * outlook.moves_inputs)
+        memory = code.memory([*parameters, *limited, self._resting, 0.0, *forecast, *rest])
+        look = outlook.in_c(code, f"{memory} + {sizes['u_ini'] + sizes['y_ini'] + sizes['r']}", steps)
+        return code.step(f"{look}step_window(&{window}, {memory}, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

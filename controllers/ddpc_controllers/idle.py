@@ -1,18 +1,20 @@
 """Inputs at rest: what doing nothing costs, a reference point of comparisons."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_controllers.export.code import Code, Exportable
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_cosim import FloatArray, Loop, Sample
 
 
 @dataclass(kw_only=True)
 class Idle(Exportable):
     """Inputs at rest, independent of measurements and references."""
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 

@@ -18,9 +18,9 @@ is measured of them at the next sample: that can be the value of the interval be
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -43,7 +43,7 @@ from ddpc_controllers.data.hankel import (
     without_first,
 )
 from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_model, head_of, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -240,6 +240,11 @@ class LiftedState:
         past = [value for window in windows for value in window.newest_first.ravel()]
         return np.array(past), self._states.newest_first
 
+    @property
+    def disturbances_before(self) -> FloatArray:
+        """The past of the disturbances that it remembers, the newest first."""
+        return self._d.newest_first.ravel()
+
     def _lift(self, states: FloatArray) -> FloatArray:
         newest = states[..., : self._size]
         return np.concatenate([newest, self._observables(states)], axis=-1)
@@ -295,6 +300,8 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     Where what is lifted is not finite, the model's prediction replaces it; before the first finite sample the
     inputs stay at rest. Either is a status.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
@@ -421,14 +428,32 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
             **{name: code.doubles(getattr(model, name)) for name in ("a", "b", "c")},
             gain=self.disturbance_gain,
             predictor=f"&{predictor}",
+            **self._c_disturbances(code),
         )
         n, begun = len(model.a), self._predicted is not None
         predicted = np.zeros(n) if self._predicted is None else self._predicted
         z = code.memory([*np.zeros(n), *self._disturbance])
         windows = self._lifted.windows
-        values = [begun], self._u, z, f"{z} + {n}", predicted, *windows, np.zeros(p), np.zeros(size)
-        held = code.held("KoopmanMemory", *values)
-        return code.step(f"{held}step_koopman(&{koopman}, &held, sample, u, told);")
+        now_and_before = [*self._last_d, *self._last_d, *self._lifted.disturbances_before]
+        starts: list[Any] = [[begun], self._u, z, f"{z} + {n}", predicted, *windows]
+        starts += [[*np.zeros(p), *now_and_before], np.zeros(size)]
+        *others, y, memory = [s if isinstance(s, str) else code.memory(s) for s in starts]
+        look = self._predictor.look(code, memory)
+        if self._disturbed and code.ahead:
+            look += code.ahead.chosen(code, lambda sample: sample.disturbance, f"{y} + {p}")
+        held = code.held("KoopmanMemory", *others, y, memory)
+        return code.step(f"{look}{held}step_koopman(&{koopman}, &held, sample, u, told);")
+
+    def _c_disturbances(self, code: Code) -> dict[str, object]:
+        """Return the members of a structure in C that know disturbances."""
+        if not self._disturbed:
+            return {}
+        return {
+            "disturbances": len(self._last_d),
+            "remembered": self._lifted.disturbances_before.size // len(self._last_d),
+            "e": code.doubles(self._model.e),
+            "at_once": code.doubles(-self._model.at_once),
+        }
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the samples at which there are as many equations as coefficients."""

@@ -101,9 +101,13 @@ class LQR(ModelBased):
         inputs = self._u_0 - self._state_gain @ self._observer.state[:-1]
         if not self._disturbed:
             return inputs
-        later = forecast[: self.horizon] if self.use_forecast else np.repeat(d[np.newaxis], self.horizon, 0)
-        off = np.vstack([d, later]) - self._model.d_0
+        off = self._now_and_later(d, forecast) - self._model.d_0
         return np.asarray(inputs + self._feedforward @ off.ravel())
+
+    def _now_and_later(self, d: FloatArray, forecast: FloatArray) -> FloatArray:
+        """Return the disturbances that are fed forward, shape (horizon + 1, n_d)."""
+        later = forecast[: self.horizon] if self.use_forecast else np.repeat(d[np.newaxis], self.horizon, 0)
+        return np.vstack([d, later])
 
     def _preview_gain(self, gain: FloatArray, weight: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
         """Return what inputs answer disturbances now and later off theirs, shape (m, (horizon + 1) n_d)."""
@@ -142,18 +146,36 @@ class LQR(ModelBased):
     def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
         code.kernel("regulator")
         m, p = len(loop.inputs), len(loop.outputs)
+        operating_point, ahead = self._u_0, 0
+        if self._disturbed:  # where the disturbances are off theirs
+            ahead = self._feedforward.shape[1]
+            operating_point = self._u_0 - self._feedforward @ np.tile(self._model.d_0, self.horizon + 1)
         tables = {
-            "u_0": self._u_0,
+            "u_0": operating_point,
             "state_gain": np.hstack([self._state_gain, np.zeros((m, 1))]),
             "sum_gain": self._sum_gain,
             "sums_of_inputs": self._sums_of_inputs,
-            "low": self._bounds.u_min,
-            "high": self._bounds.u_max,
         }
-        named = {name: code.doubles(table) for name, table in tables.items()}
+        if not self._moving:
+            tables |= {"low": self._bounds.u_min, "high": self._bounds.u_max}
+        if ahead:
+            tables["feedforward"] = self._feedforward
+        named: dict[str, object] = {name: code.doubles(table) for name, table in tables.items()}
+        if ahead:
+            named["ahead"] = ahead
+        if self._moving:
+            named["moves"] = True
         regulator = code.constant("Regulator", observer=f"&{observer}", **named)
-        sums, scratch = code.memory(np.zeros(1 + p)), code.memory(np.zeros(m + p))
-        return f"regulate(&{regulator}, &held, {sums}, {scratch}, sample, u, told);"
+        sums = code.memory([self._sum is not None, *(np.zeros(p) if self._sum is None else self._sum)])
+        scratch = code.memory(np.zeros(m + p + ahead + 2 * m * self._moving))
+        look = ""
+        if ahead and code.ahead:
+            look += code.ahead.chosen(
+                code, lambda s: self._now_and_later(s.disturbance, s.forecast), f"{scratch} + {m + p}"
+            )
+        if self._moving and code.ahead:
+            look += code.ahead.limits(code, 1, f"{scratch} + {m + p + ahead}")
+        return f"{look}regulate(&{regulator}, &held, {sums}, {scratch}, sample, u, told);"
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""

@@ -10,6 +10,7 @@ are to a recording, the matrix M is to a model. Known disturbances d are those m
 the filter knows them as it knows the inputs. Costs, limits, condensing and the online solution are shared.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,7 +23,7 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
-from ddpc_controllers.optimisation.outlook import D, Outlook
+from ddpc_controllers.optimisation.outlook import ENDLESS, D, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
@@ -109,9 +110,12 @@ class Predictor:
         self._outlook = Outlook(
             replace(loop, disturbances=()), settings, settings.horizon, controlled=controlled
         )
-        known = {"x": (1, n), "u_ini": (1, m)} | ({D: (settings.horizon + 1, n_d)} if n_d else {})
-        self._parameters = ParameterVector({**known, "r": (settings.horizon, p), **self._outlook.windows})
-        past = {name: self._parameters.sizes[name] for name in known}
+        known = {"x": (1, n), "u_ini": (1, m)}
+        disturbed = {D: (settings.horizon + 1, n_d)} if n_d else {}
+        windows = {**known, "r": (settings.horizon, p), **disturbed, **self._outlook.windows}
+        self._parameters = ParameterVector(windows)
+        self._known_size = n + m + self._parameters.sizes["r"]
+        past = {name: self._parameters.sizes[name] for name in (*known, *disturbed)}
         problem = tracking_problem(
             settings,
             loop.bounds,
@@ -143,10 +147,7 @@ class Predictor:
         self._parameters.fill("x", state)
         self._parameters.fill("u_ini", last_input)
         self._parameters.fill("r", sample.reference)
-        if self._disturbed:
-            d, forecast = self._parameters.window(D), sample.forecast[: self._outlook.horizon]
-            d[0], d[1:] = sample.disturbance, forecast if self._uses_forecast else sample.disturbance
-        self._outlook.fill(self._parameters, sample)
+        self._look_ahead(self._parameters, sample)
         if self._outlook.moves_inputs:
             self._limits.move(sample.input_limits)
         answer, fault = self._law.solve(self._parameters.array)
@@ -158,12 +159,24 @@ class Predictor:
         self._limits.hold_changes(u[np.newaxis], last_input)
         return u, fault
 
+    def _look_ahead(self, parameters: ParameterVector, sample: Sample) -> None:
+        """Fill what is known of the time ahead."""
+        if self._disturbed:
+            d, forecast = parameters.window(D), sample.forecast[: self._outlook.horizon]
+            d[0], d[1:] = sample.disturbance, forecast if self._uses_forecast else sample.disturbance
+        self._outlook.fill(parameters, sample)
+
     def constant(self, code: Code) -> tuple[str, int]:
         """Add it to code in C; return its name, and how many numbers ``solve_predictor`` remembers."""
         code.kernel("predictor")
-        law = add_law(code, self._law, self._inputs)
+        moving = self._outlook.moves_inputs
+        law = add_law(code, self._law, self._inputs, moving)
         sizes = self._parameters.sizes
         limits = self._limits.tables()
+        ahead = sum(sizes.values()) - self._known_size - 1
+        members: dict[str, object] = {"ahead": ahead} if ahead else {}
+        if moving:
+            members["near"] = code.doubles(self._limits.near)
         name = code.constant(
             "Predictor",
             n=sizes["x"],
@@ -173,8 +186,25 @@ class Predictor:
             high=code.doubles(limits["high"]),
             rates=code.doubles(self._rates),
             law=law.pointer,
+            **members,
         )
-        return name, len(self._parameters.array) + law.memory
+        return name, len(self._parameters.array) + 2 * self._inputs * moving + law.memory
+
+    def look(self, code: Code, memory: str) -> str:
+        """Return statements in C that fill what the memory of ``solve_predictor`` has of the time ahead."""
+        first, size = self._known_size, len(self._parameters.array)
+        if code.ahead is None or first == size - 1:
+            return ""
+
+        def filled(sample: Sample) -> FloatArray:
+            parameters = copy.deepcopy(self._parameters)
+            self._look_ahead(parameters, sample)
+            return parameters.array[first:-1]
+
+        look = code.ahead.chosen(code, filled, f"{memory} + {first}", ENDLESS)
+        if self._outlook.moves_inputs:
+            look += code.ahead.limits(code, 1, f"{memory} + {size}")
+        return look
 
 
 @dataclass(kw_only=True)
@@ -219,8 +249,10 @@ class MPC(TrackingSettings, ModelBased):
 
     def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
         predictor, size = self._predictor.constant(code)
-        known = f"held.state, held.u, sample->reference, {code.memory(np.zeros(size))}"
-        return f"solve_predictor(&{predictor}, {known}, u, told);"
+        memory = code.memory(np.zeros(size))
+        look = self._predictor.look(code, memory)
+        known = f"held.state, held.u, sample->reference, {memory}"
+        return f"{look}solve_predictor(&{predictor}, {known}, u, told);"
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""

@@ -23,8 +23,9 @@ fewer free inputs than outputs. An input whose limits leave it no room is as goo
 can follow in as many directions as inputs are free: those of their columns in the plant's gain.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,8 @@ _LARGEST_TABLE = 4096
 @dataclass(kw_only=True)
 class OffsetFree(SingleWrapper):
     """A controller whose reference is shifted until there is no offset."""
+
+    _known_in_c: ClassVar[Collection[str]] = ()
 
     gain: float = setting(
         0.0,

@@ -24,7 +24,7 @@ What is known to disturb the plant can be fed forward, by an addition to v: see
 :mod:`ddpc_controllers.models.feedforward`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
@@ -33,7 +33,7 @@ import numpy as np
 
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
-from ddpc_controllers.export.code import Code, Exportable
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
 from ddpc_controllers.models.identification import fit_arx, never_moved
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
@@ -333,6 +333,8 @@ class PID(Exportable):
     measurement or a reference is not finite the inputs are held, which is a status.
     """
 
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+
     tuning: Tuning = setting(
         "manual", choices=("manual", "step-test"), doc="gains as given, or by SIMC from the recording"
     )
@@ -447,11 +449,12 @@ class PID(Exportable):
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
         code.kernel("pid")
-        if self._forward or self._moving or self._taken_over:
-            what = "feeds disturbances forward" if self._forward else "takes over a running plant"
-            what = "has input limits that move" if self._moving else what
-            raise ConfigError(f"PID cannot be exported where it {what}: its code in C does not")
+        if self._taken_over:
+            raise ConfigError(
+                "PID cannot be exported where it takes over a running plant: its code in C does not"
+            )
         p = len(self._pairs)
+        forwarded = self._forward.gains.shape[1:] if self._forward else (0, 0)
         pid = code.constant(
             "PID",
             p=p,
@@ -459,16 +462,38 @@ class PID(Exportable):
             inputs=code.sizes(self._pairs),
             **{name: code.doubles(values) for name, values in self._gains._asdict().items()},
             tracking=code.doubles(self._tracking),
-            low=code.doubles(self._low),
-            high=code.doubles(self._high),
+            **self._c_members(code),
             sampling_time=self._sampling_time,
             setpoint_share=self.setpoint_share,
             clamping=self.anti_windup == "clamping",
         )
         before = np.zeros(p) if self._y is None else self._y
         begun = [0.0, self._y is not None]
-        held = code.held("PIDMemory", begun, self._elapsed, self._u, before, np.zeros(p), self._derivative)
-        return code.step(f"{held}pid_step(&{pid}, &held, sample, u, told);")
+        further = np.zeros(2 * p * self._moving + (2 + forwarded[0]) * forwarded[1])
+        starts = begun, self._elapsed, self._u, before, np.zeros(p), [*self._derivative, *further]
+        *others, rate = [code.memory(start) for start in starts]
+        look = ""
+        if self._moving and code.ahead:
+            look += code.ahead.chosen(
+                code, lambda sample: sample.input_limits[0, self._pairs].T, f"{rate} + {p}"
+            )
+        if self._forward and code.ahead:
+            place = f"{rate} + {p + 2 * p * self._moving}"
+            look += code.ahead.chosen(code, lambda sample: sample.disturbance, place)
+        held = code.held("PIDMemory", *others, rate)
+        return code.step(f"{look}{held}pid_step(&{pid}, &held, sample, u, told);")
+
+    def _c_members(self, code: Code) -> dict[str, object]:
+        """Return the members of a structure in C about limits and feedforward."""
+        members: dict[str, object] = {"moves": True}
+        if not self._moving:
+            members = {"low": code.doubles(self._low), "high": code.doubles(self._high)}
+        if self._forward:
+            _, lags, n_d = self._forward.gains.shape
+            tables = {"poles": self._forward.poles, "forward": self._forward.gains}
+            members |= {"disturbances": n_d, "lags": lags}
+            members |= {name: code.doubles(table) for name, table in tables.items()}
+        return members
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the gains in use; with tuned ones the maximum sensitivity, infinite if unstable."""

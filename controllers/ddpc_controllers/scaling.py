@@ -7,7 +7,7 @@ The methods that weigh errors are :class:`ScaledSignals`; :class:`Scaled` does t
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Literal, get_args
@@ -16,7 +16,7 @@ import numpy as np
 
 from ddpc_controllers.checks import prior_info
 from ddpc_controllers.data.quality import Judgement, stands_still
-from ddpc_controllers.export.code import Code, Exportable, inner_step
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable, inner_step
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.outlook import Foresight
 from ddpc_controllers.wrapper import SingleWrapper
@@ -101,12 +101,21 @@ class Scales:
 
     def c_step(self, code: Code, step: Callable[[Code, Loop], str], horizon: int) -> str:
         """Add a step in scaled signals around the one that ``step`` adds, whose horizon is given."""
-        inside = step(code, self.loop)
+        ahead = code.ahead
+        every = self._fields_of(self.loop, "all")
+        there = [pair for pair in every if ahead and getattr(ahead.places, pair[0]).size]
+        with code.seeing(ahead and ahead.scaled(there)):
+            inside = step(code, self.loop)
         if self._trivial:
             return inside
         code.kernel("scaled")
         p, q, m = len(self.y), len(self.measured), len(self.u)
-        limits = self._limits.tables()
+        limits, keep, within = self._limits.tables(), "", ""
+        if ahead and self._limits_move:
+            held = code.memory(np.zeros(2 * m))
+            keep = ahead.limits(code, 1, held)
+            within = f"keep_limits(u, {held}, {m}, {code.doubles(self._limits.near)}, {m});\n"
+            limits = InputLimits(np.full(m, -np.inf), np.full(m, np.inf)).tables()
         scaled = code.constant(
             "Scaled",
             p=p,
@@ -120,9 +129,9 @@ class Scales:
         )
         memory = code.memory(np.zeros(2 * p + q + horizon * p))
         return code.step(
-            f"const Sample inside = scale_sample(&{scaled}, sample, {memory});\n"
+            f"{keep}const Sample inside = scale_sample(&{scaled}, sample, {memory});\n"
             f"{inside}(memory, &inside, u, told);\n"
-            f"unscale_inputs(&{scaled}, u);"
+            f"unscale_inputs(&{scaled}, u);\n{within}"
         )
 
     def misfits(self) -> list[str]:
@@ -336,6 +345,19 @@ class Predicted:
             output_limits=_padded(sample.output_limits, more),
         )
 
+    def c_step(self, code: Code, inside: str, horizon: int) -> str:
+        """Add what the method sees of a sample around its step, which is given, to code in C."""
+        if not self._rows:
+            return inside
+        code.kernel("paid")
+        p, more = self.controlled, len(self._rows)
+        paid = code.constant("Paid", p=p, more=more, horizon=horizon, measured=code.sizes(self._rows))
+        memory = code.memory(np.zeros((2 + horizon) * (p + more)))
+        return code.step(
+            f"const Sample inside = with_paid(&{paid}, sample, {memory});\n"
+            f"{inside}(memory, &inside, u, told);"
+        )
+
     def _leave_out_what_stood_still(self, loop: Loop) -> None:
         """Leave disturbances out that never moved in the recording."""
         recording = loop.recording
@@ -436,24 +458,11 @@ class ScaledSignals(Exportable):
         return self._scales.step(self._step, self._method_loop.sample(sample))
 
     def c_step(self, code: Code, loop: Loop) -> str:
-        """Add the method, in scaled signals.
-
-        Raises
-        ------
-        ConfigError
-            The loop has what the code does not know.
-        """
-        there = {
-            "disturbances": loop.disturbances,
-            "bands": loop.bands,
-            "moving limits": loop.moving_limits,
-            "prices": loop.charges,
-        }
-        if named := " and ".join(name for name, things in there.items() if things):
-            raise ConfigError(
-                f"{type(self).__name__} cannot be exported with {named}: its code in C does not know them"
-            )
-        return self._scales.c_step(code, self._c_step, self.horizon)
+        """Add the method, in scaled signals."""
+        ahead = code.ahead
+        with code.seeing(ahead and ahead.through(self._method_loop.sample)):
+            inside = self._scales.c_step(code, self._c_step, self.horizon)
+        return self._method_loop.c_step(code, inside, self.horizon)
 
     def _facts(self, plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
         """Return the facts of :meth:`knowledge` as :func:`prior_info`, with forecasts and prices it uses."""
@@ -487,6 +496,8 @@ class Scaled(SingleWrapper):
     For controllers whose gains are in the units of the plant (PID), and for those of others; the methods that
     weigh errors scale them by their own ``scaling``.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     scale_by: ScaleBy = setting(
         "range",

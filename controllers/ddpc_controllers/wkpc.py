@@ -1,7 +1,7 @@
 """Willems-Koopman predictive control, equations (10)-(12)."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal
@@ -26,7 +26,7 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
@@ -62,6 +62,8 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
     ``online_data`` lets the data follow the plant: see
     :class:`~ddpc_controllers.data.online.OnlineSettings`.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
@@ -213,7 +215,8 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             len(loop.measurements),
             self._parameters.window("z_ini").shape[1],
         )
-        law = add_law(code, self._law, m + p)
+        outlook = self._outlook
+        law = add_law(code, self._law, m + p, outlook.moves_inputs)
         measured, outputs = self._last.shared
         wkpc = code.constant(
             "Wkpc",
@@ -229,17 +232,20 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             measured=code.sizes(measured),
             outputs=code.sizes(outputs),
             law=law.pointer,
+            **outlook.members(code, self._limits),
         )
+        limited = np.zeros(2 * m * outlook.moves_inputs)
         parameters, first = (
-            code.memory(self._parameters.array),
+            code.memory([*self._parameters.array, *limited]),
             np.cumsum([0, *self._parameters.sizes.values()]),
         )
+        look = outlook.in_c(code, f"{parameters} + {first[4]}", 1)
         parts = [f"{parameters} + {place}" for place in first[:4]]
         of_now = [np.zeros(size) for size in (m + p, n, p, law.memory)]
         held = code.held(
             "WkpcMemory", *parts, [self._resting], self._states.newest_first, self._last.newest, *of_now
         )
-        return code.step(f"{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
+        return code.step(f"{look}{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -451,14 +451,6 @@ def test_a_dear_input_is_used_less_and_later() -> None:
     assert u(1.0) == pytest.approx(scaled * NOMINAL["u"], rel=1e-9)
 
 
-def test_what_has_no_code_in_c_is_not_exported() -> None:
-    loop = make(PLANTS["one input"], 160)
-    controller = started(DeePC(**WELL_POSED), loop)
-    named = "disturbances and bands and moving limits and prices"
-    with pytest.raises(ConfigError, match=f"DeePC cannot be exported with {named}"):
-        controller.c_code(loop)
-
-
 @pytest.mark.parametrize("method", [DeePC, partial(WKPC, dictionary=ThinPlate())])
 def test_data_that_follow_the_plant_take_its_disturbances_too(method: Callable[..., Method]) -> None:
     """After a while they are those of a recording that ends later."""

@@ -1,14 +1,17 @@
 """The C code of one controller, put together from constants, memory and step functions."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import files as package_files
-from typing import Any
+from itertools import pairwise
+from math import inf, prod
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_cosim import ConfigError, Controller, ControllerCode, Loop
+from ddpc_cosim import ConfigError, Controller, ControllerCode, FloatArray, Loop, Sample, further_arguments
 from ddpc_cosim.texts import printable
 
 STATUSES: Mapping[int, str] = {
@@ -22,12 +25,23 @@ STATUSES: Mapping[int, str] = {
 }
 """The bits of a status, as ``runtime/sample.h`` has them."""
 
+_ROWS = {
+    "forecast": ("disturbance", 0),
+    "band": ("band_now", 0),
+    "price": ("", 1),
+    "input_limits": ("", 1),
+    "output_limits": ("", 0),
+}
+"""Fields of a sample with time along axis 0: the field of its present row, and rows beyond the horizon's."""
 _WIDTH = 8
 _PACKAGE = __name__.partition(".")[0]
 
 
 class Exportable(Controller):
     """Base of the controllers that can be exported: each writes its step function; wrappers use others'."""
+
+    _known_in_c: ClassVar[Collection[str]] = ("disturbances", "bands", "prices")
+    """What a loop may have: a class that makes nothing of these need not know them; nor, here, of limits."""
 
     def c_code(self, loop: Loop) -> ControllerCode:
         """Return the started controller as C code.
@@ -38,6 +52,7 @@ class Exportable(Controller):
             With these settings it cannot be exported, and why.
         """
         code = Code()
+        code.look_ahead(loop, self.horizon)
         return code.controller(inner_step(self, code, loop), self.horizon, loop)
 
     def c_step(self, code: "Code", loop: Loop) -> str:
@@ -67,7 +82,72 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
     if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
         # The base class's code does not know what a subclass changes.
         raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
+    there = {
+        "disturbances": loop.disturbances,
+        "bands": loop.bands,
+        "moving limits": loop.moving_limits,
+        "prices": loop.charges,
+    }
+    unknown = [name for name, things in there.items() if things and name not in controller._known_in_c]
+    if unknown:
+        named = " and ".join(unknown)
+        raise ConfigError(
+            f"{kind.__name__} cannot be exported with {named}: its code in C does not know them"
+        )
     return controller.c_step(code, loop)
+
+
+ALL_AHEAD = ("disturbances", "bands", "moving limits", "prices")
+"""What a sample may say besides measurements and references."""
+
+
+class Ahead(NamedTuple):
+    """What a sample says besides measurements and references, as numbers that the code remembers.
+
+    Parameters
+    ----------
+    pointer : str
+        Expression of the numbers.
+    places : Sample
+        Where each value of a sample stands among them.
+    factors : Sample
+        What it is multiplied by.
+    """
+
+    pointer: str
+    places: Sample
+    factors: Sample
+
+    def through(self, change: Callable[[Sample], Sample]) -> "Ahead":
+        """Return what is left of it for a method that sees samples changed."""
+        return self._replace(places=change(self.places), factors=change(self.factors))
+
+    def scaled(self, scales: Iterable[tuple[str, FloatArray]]) -> "Ahead":
+        """Return it in scaled signals, given the scales of fields of a sample."""
+        parts = {name: getattr(self.factors, name) / scale for name, scale in scales}
+        return self._replace(factors=self.factors._replace(**parts))
+
+    def chosen(
+        self, code: "Code", choose: Callable[[Sample], FloatArray], target: str, far: float = inf
+    ) -> str:
+        """Return a statement in C that brings what ``choose`` makes of a sample to the place ``target``.
+
+        ``far`` stands for what is infinite.
+        """
+        places, factors = (np.ravel(choose(sample)) for sample in (self.places, self.factors))
+        code.kernel("ahead")
+        values = {"places": code.sizes(places), "factors": code.doubles(factors)}
+        chosen = code.constant("Chosen", n=len(places), **values, far=far)
+        return f"choose_ahead(&{chosen}, {self.pointer}, {target});\n"
+
+    def limits(self, code: "Code", samples: int, target: str) -> str:
+        """Return one for the limits of the inputs over samples: all lower ones, and then the upper ones."""
+        return self.chosen(code, lambda sample: sample.input_limits[:samples].transpose(2, 0, 1), target)
+
+
+def moved_inputs(loop: Loop) -> bool:
+    """Return whether limits of inputs move."""
+    return any(variable.name in loop.moving_limits for variable in loop.inputs)
 
 
 def qp_memory(unknowns: int) -> int:
@@ -84,14 +164,73 @@ class Code:
         Constants and step functions.
     start : list of float
         What the memory begins with.
+    ahead : Ahead or None
+        What is known of disturbances, bands, prices and moving limits, as the method that is being added
+        sees it; None: there is nothing of the kind.
     """
 
     def __init__(self) -> None:
         self.parts: list[str] = []
         self.start: list[float] = []
+        self.ahead: Ahead | None = None
         self._kernels: list[str] = []
         self._tables: dict[tuple[str, str], str] = {}
         self._count = 0
+
+    def look_ahead(self, loop: Loop, horizon: int) -> None:
+        """Take what a loop has besides measurements and references into the memory, from ``r`` of a step.
+
+        Parameters
+        ----------
+        loop : Loop
+            The loop.
+        horizon : int
+            How far the controller looks.
+        """
+        shapes = further_arguments(loop, horizon)
+        sizes = [prod(shape) for shape in shapes.values()]
+        if not shapes:
+            return
+        starts, parts = np.full(sum(sizes), np.nan), np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        places = {
+            name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)
+        }
+        before, taken = np.arange(len(starts)), np.ones(len(starts), dtype=bool)
+        held = dict[str, NDArray[np.intp]]()
+        for name, (now, length) in _ROWS.items():
+            if name in places:
+                rows = [*([places[now]] if now else []), *places[name]]
+                for last, later in pairwise(rows):
+                    before[later] = last
+                ahead = np.minimum(np.arange(horizon + length) + bool(now), len(rows) - 1)
+                held[name] = np.array([rows[k] for k in ahead])
+        if loop.disturbances:
+            starts[places["disturbance"]] = [variable.start for variable in loop.disturbances]
+        if loop.moving_limits:  # sides that stand are what they are, and may be infinite
+            bounds, moving = loop.bounds, loop.moving_limits
+            for name, variables, low, high in (
+                ("input_limits", loop.inputs, bounds.u_min, bounds.u_max),
+                ("output_limits", loop.outputs, bounds.y_min, bounds.y_max),
+            ):
+                limits = np.stack([low, high], axis=1)
+                moves = np.array([variable.name in moving for variable in variables])[:, np.newaxis]
+                starts[places[name]], taken[places[name]] = limits, moves & np.isfinite(limits)
+        numbers = np.flatnonzero(taken)
+        known = {"places": self.sizes(numbers), "before": self.sizes(before[numbers])}
+        self.kernel("ahead")
+        self._known, pointer = self.constant("Known", n=len(numbers), **known), self.memory(starts)
+        seen: dict[str, Any] = {name: values.astype(np.float64) for name, values in (places | held).items()}
+        p, q = len(loop.outputs), len(loop.measurements)
+        empty = Sample(0, 0.0, np.zeros(p), np.zeros(q), np.zeros((horizon, p)), np.zeros(p))
+        factors: dict[str, Any] = {name: np.ones(values.shape) for name, values in seen.items()}
+        self.ahead = Ahead(pointer, empty._replace(**seen), empty._replace(**factors))
+
+    @contextmanager
+    def seeing(self, ahead: Ahead | None) -> Iterator[None]:
+        """Let what is added meanwhile see this of the time ahead."""
+        self.ahead, before = ahead, self.ahead
+        yield
+        self.ahead = before
 
     def doubles(self, values: ArrayLike) -> str:
         """Return the name of a constant table of numbers, row after row; NULL for none."""
@@ -183,11 +322,20 @@ class Code:
         measured = self.memory(np.zeros(q))
         reference = self.memory(np.zeros(horizon * p))
         last = self.memory(resting_input(loop))
-        low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
+        looks = list[str]()
+        if self.ahead:
+            looks.append(f"take_known(&{self._known}, r + {(1 + preview) * p}, {self.ahead.pointer});")
+        if self.ahead and moved_inputs(loop):
+            low = self.memory(np.zeros(2 * m))
+            high = f"{low} + {m}"
+            looks.append(self.ahead.limits(self, 1, low).rstrip())
+        else:
+            low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
         start = self.doubles(self.start)
+        further = further_arguments(loop, horizon)
         sizes = {
             "MEASUREMENTS": p + len(others),
-            "REFERENCES": (1 + preview) * p,
+            "REFERENCES": (1 + preview) * p + sum(map(prod, further.values())),
             "INPUTS": m,
             "MEMORY": len(self.start),
         }
@@ -197,6 +345,7 @@ class Code:
             f"const Sample sample = {{y, {measured}, {reference}, r}};",
             f"choose(y, {places}, {q}, {measured});",
             f"repeat_last(r, {preview}, {horizon}, {p}, {reference});",
+            *looks,
             f"{step}(memory, &sample, u, &told);",
             f"hold_bounds(u, {low}, {high}, {m}, {last}, &told);",
             "state->status = told.status;",
@@ -221,6 +370,10 @@ class Code:
                     statuses="\n".join(f" *   {bit}: {text}" for bit, text in STATUSES.items()),
                     y=_in_comment([*outputs, *others]),
                     r=_in_comment(outputs),
+                    further="".join(
+                        f"\n *      then {name}, {' x '.join(map(str, shape))} (see further_arguments)"
+                        for name, shape in further.items()
+                    ),
                     u=_in_comment([variable.name for variable in loop.inputs]),
                     sampling_time=f"{loop.sampling_time!r} s",
                     preview=preview,
@@ -253,7 +406,7 @@ class Code:
 _HEADER = """/* A sampled controller: call controller_step once in every sampling time of {sampling_time}.
  *
  *   y: {y}; NaN where one is missing
- *   r: {r} now (the setpoint), then {preview} future samples, one after another
+ *   r: {r} now (the setpoint), then {preview} future samples, one after another{further}
  *   u: {u}, within their bounds
  *
  * A step returns 0, or why u is a fallback, a sum of

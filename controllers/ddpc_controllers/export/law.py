@@ -1,6 +1,6 @@
 """A condensed problem in C: ``runtime/law.c`` with the tables of a law and of the easier ones after it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code, qp_memory
 from ddpc_controllers.optimisation.condensing import CondensedProblem
-from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
 from ddpc_cosim import ConfigError
 
@@ -33,7 +32,7 @@ class LawInC(NamedTuple):
     memory: int
 
 
-def add_law(code: Code, law: Law, answers: int) -> LawInC:
+def add_law(code: Code, law: Law, answers: int, moving: bool = False) -> LawInC:
     """Add a law and the easier ones after it to the code.
 
     Parameters
@@ -44,6 +43,8 @@ def add_law(code: Code, law: Law, answers: int) -> LawInC:
         The law of a started controller.
     answers : int
         How many numbers of an answer are needed: the first ones, which begin with the inputs.
+    moving : bool
+        Whether limits of the inputs move: then who asks keeps them.
 
     Raises
     ------
@@ -69,7 +70,8 @@ def add_law(code: Code, law: Law, answers: int) -> LawInC:
     added = LawInC("NULL", 0)
     for stage, name in zip(reversed(stages), reversed(affine), strict=True):
         conflicts = len(law.problem.conflict_law) if stage is law else 0
-        pointer, memory = _add(code, stage.problem, stage.limits, answers, name, conflicts, added.pointer)
+        limits = {} if moving else stage.limits.tables()
+        pointer, memory = _add(code, stage.problem, limits, answers, name, conflicts, added.pointer)
         added = LawInC(pointer, added.memory + memory)
     return added
 
@@ -91,7 +93,7 @@ def _affine_laws(code: Code, problems: Sequence[CondensedProblem], answers: int)
 def _add(
     code: Code,
     problem: CondensedProblem,
-    limits: InputLimits,
+    limits: Mapping[str, Sequence[float]],
     answers: int,
     affine: str,
     conflicts: int,
@@ -122,7 +124,7 @@ def _add(
         "gain": rows,
         "lower": limit,
         "upper": np.zeros(len(upper)),
-        **limits.tables(),
+        **limits,
     }
     name = code.constant(
         "Law",
@@ -130,7 +132,7 @@ def _add(
         bounds=len(gain),
         size=unknowns,
         answers=answers,
-        inputs=len(limits.tables()["low"]),
+        inputs=len(limits.get("low", ())),
         conflicts=conflicts,
         law=affine,
         tolerance=FEASIBLE,

@@ -35,10 +35,16 @@ class Feedforward:
     ----------
     gains : array, shape (m, lags, n_d)
         How much of each lag of each disturbance is added to each input.
+
+    Attributes
+    ----------
+    poles : array, shape (lags,)
+        The poles a_j of the lags.
     """
 
     def __init__(self, gains: FloatArray) -> None:
         self.gains = gains
+        self.poles = _poles()
         self._first: FloatArray | None = None
         self._lags = np.zeros(gains.shape[1:])
 
@@ -46,7 +52,7 @@ class Feedforward:
         """Return what to add to the inputs, shape (m,), for disturbances d, shape (n_d,)."""
         if self._first is None:
             self._first = d.copy()
-        poles = _poles()[:, np.newaxis]
+        poles = self.poles[:, np.newaxis]
         self._lags = poles * self._lags + (1.0 - poles) * (d - self._first)
         return np.asarray(np.einsum("mjd,jd->m", self.gains, self._lags))
 

@@ -10,7 +10,7 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -19,7 +19,7 @@ import numpy as np
 from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.hankel import numerical_rank, resting_input, running_past
 from ddpc_controllers.data.quality import Judgement, Span, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
@@ -146,8 +146,19 @@ class Observer:
             "c": self.c,
             "gain": np.vstack([self._gain, np.zeros((1, p))]),
         }
-        named = {name: code.doubles(table) for name, table in tables.items()}
+        disturbances = self.e.shape[1]
+        if disturbances:
+            tables |= {"e": self.e, "f": self.f, "rest_d": self._resting_gain()}
+        named: dict[str, object] = {name: code.doubles(table) for name, table in tables.items()}
+        if disturbances:
+            named["disturbances"] = disturbances
         return code.constant("Observer", m=self.b.shape[1], p=p, n=n, **named)
+
+    def _resting_gain(self) -> FloatArray:
+        """Return what disturbances do to the state at rest, shape (n + n_w + 1, n_d)."""
+        u, n_d = np.zeros(self.b.shape[1]), self.e.shape[1]
+        laws = [self.resting_law(u, d)[:, -1] for d in np.vstack([np.zeros(n_d), np.eye(n_d)])]
+        return np.array(laws[1:]).T - laws[0][:, np.newaxis]
 
     def follow(self, recording: Recording) -> None:
         """Run along a recording, in one piece, that begins at rest, up to its last measurement."""
@@ -207,6 +218,8 @@ class ModelBased(ScaledSignals):
     A measurement that is not finite is replaced by the model's prediction; before the first finite one the
     inputs stay at rest. Either is a status.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 
@@ -326,10 +339,16 @@ class ModelBased(ScaledSignals):
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the filter and what decides to the code."""
         state = self._observer.state
-        observer, rest = self._observer.constant(code), self._observer.resting_law(self._u, NO_DISTURBANCE)
-        scratch = np.zeros(len(state) + len(loop.outputs))
+        n_d = len(loop.disturbances)
+        observer, rest = self._observer.constant(code), self._observer.resting_law(self._u, np.zeros(n_d))
+        members = [self._resting], self._u, state, rest, np.zeros(len(state) + len(loop.outputs) + n_d)
+        *others, scratch = [code.memory(start) for start in members]
+        look = ""
+        if self._disturbed and code.ahead:
+            place = f"{scratch} + {len(state) + len(loop.outputs)}"
+            look = code.ahead.chosen(code, lambda sample: sample.disturbance, place)
         return code.step(
-            f"{code.held('ObserverMemory', [self._resting], self._u, state, rest, scratch)}"
+            f"{look}{code.held('ObserverMemory', *others, scratch)}"
             f"if (!observe(&{observer}, &held, sample->y, u, told)) return;\n"
             f"{self._c_decide(code, loop, observer)}\n"
             f"predict(&{observer}, &held, u);"

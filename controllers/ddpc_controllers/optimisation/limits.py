@@ -77,6 +77,8 @@ class InputLimits:
     ----------
     endless : bool
         Whether an input has none on a side.
+    near : array, shape (m,)
+        How far from a limit an input still is at it.
     """
 
     def __init__(
@@ -87,7 +89,8 @@ class InputLimits:
         self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
         span = np.zeros(len(u_min))
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
-        self._near = (_AT_LIMIT * span).tolist() * steps
+        self.near = _AT_LIMIT * span
+        self._near = self.near.tolist() * steps
         self.move(np.tile(np.stack([u_min, u_max], axis=1), (steps, 1, 1)))
 
     def move(self, limits: FloatArray) -> None:

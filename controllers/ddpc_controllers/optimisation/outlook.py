@@ -14,12 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, sample_by_sample
 from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
 
 D, BAND, INPUT_LIMITS, OUTPUT_LIMITS, PRICE = "d", "band", "u_limits", "y_limits", "price"
 
-_ENDLESS = 1e9
+ENDLESS = 1e9
 """Stands for a band without an edge on one side, in parts of the output's scale."""
 
 
@@ -177,18 +179,49 @@ class Outlook:
         """Fill the parameters for this sample."""
         if not self._fields:
             return
-        values = np.concatenate([getattr(sample, field).ravel() for field in self._fields])
         ahead = parameters.array[-1 - len(self._places) : -1]
-        np.take(values, self._places, out=ahead, mode="clip")
+        self._chosen_of(sample, ahead)
         if self._units is not None:
             ahead /= self._units
         if self._holds_bands and not isfinite(np.dot(ahead, ahead)):
             edges = parameters.window(BAND)
-            np.clip(edges, -_ENDLESS, _ENDLESS, out=edges)
+            np.clip(edges, -ENDLESS, ENDLESS, out=edges)
+
+    def _chosen_of(self, sample: Sample, out: FloatArray | None = None) -> FloatArray:
+        """Return what the parameters are of a sample, in its units."""
+        values = np.concatenate([getattr(sample, field).ravel() for field in self._fields])
+        return np.take(values, self._places, out=out, mode="clip")
 
     def now(self, parameters: ParameterVector) -> FloatArray:
         """Return the disturbances of this sample, shape (n_d,), after :meth:`fill`."""
         return parameters.window(D)[self._past] if D in self.windows else np.empty(0)
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return sum(length * width for length, width in self.windows.values())
+
+    def members(self, code: Code, limits: InputLimits) -> dict[str, object]:
+        """Return the members of a structure in C that keeps the parameters after the references."""
+        members: dict[str, object] = {}
+        if self.windows:
+            members |= {"disturbances": self.disturbances, "ahead": self.size}
+        if self.moves_inputs:
+            members["near"] = code.doubles(limits.near)
+        return members
+
+    def in_c(self, code: Code, first: str, steps: int) -> str:
+        """Return statements in C that fill the parameters, and moving limits of so many samples after the 1.
+
+        ``first`` is the place of the first parameter; those of the past stay.
+        """
+        if not self.windows or code.ahead is None:
+            return ""
+        past = self._past * self.disturbances
+        look = code.ahead.chosen(code, self._chosen_of, f"{first} + {past}", ENDLESS)
+        if self.moves_inputs:
+            look += code.ahead.limits(code, steps, f"{first} + {self.size + 1}")
+        return look
 
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""

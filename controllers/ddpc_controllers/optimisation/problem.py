@@ -10,6 +10,9 @@ from ddpc_cosim import FloatArray
 Blocks = Mapping[str, FloatArray]
 """Coefficient blocks by the name of the variable or parameter that they multiply."""
 
+BAND_OF_Y = "band of y"
+"""What the edges of bands are called, as bounds."""
+
 
 class _Equality(NamedTuple):
     """Rows over x and over p that are equal, and the weight of their difference where they give way."""

@@ -47,7 +47,7 @@ from ddpc_controllers.optimisation.limits import (
     past_not_recorded,
     unmet_bounds,
 )
-from ddpc_controllers.optimisation.problem import Problem
+from ddpc_controllers.optimisation.problem import BAND_OF_Y, Problem
 from ddpc_cosim import OK, Action, ConfigError, FloatArray, Variable
 
 FEASIBLE = 1e-11
@@ -354,6 +354,9 @@ class ParametricQP(_BoundedLaw):
         if problem.paid:  # so many rows that they are left until they are asked for
             self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
             self._cost_law = np.vstack([cost_law, *problem.paid])
+        # Bands and prices put optima at bounds that hardly matter, where a solver leaves half of the digits.
+        in_bands = any(label.startswith(BAND_OF_Y) for label in problem.labels)
+        self._hardly_matter = in_bands or problem.paid is not None
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
@@ -412,7 +415,7 @@ class ParametricQP(_BoundedLaw):
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         t, active, failure = self._backend.solve(excess)
         # Whatever the solver reports: a law that satisfies the optimality conditions is the optimum.
-        for candidate in (active, least_distance(self._gain, excess - FEASIBLE) if failure else ()):
+        for candidate in self._candidates(excess, active, failure):
             if candidate and self._apply(candidate, excess, u):
                 self._active = candidate
                 _make_room(self._active_sets)
@@ -422,6 +425,12 @@ class ParametricQP(_BoundedLaw):
             return None
         u += self._move_gain @ t
         return active, t
+
+    def _candidates(self, excess: FloatArray, active: ActiveSet, failure: str) -> Iterator[ActiveSet]:
+        """Yield which bounds may be the active ones, given what the solver says."""
+        yield active
+        if failure or self._hardly_matter:
+            yield least_distance(self._gain, excess - FEASIBLE)
 
 
 def make_law(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName
 from ddpc_controllers.optimisation.outlook import BAND, PRICE, Foresight, Outlook
-from ddpc_controllers.optimisation.problem import Blocks, Problem, sample_by_sample
+from ddpc_controllers.optimisation.problem import BAND_OF_Y, Blocks, Problem, sample_by_sample
 from ddpc_cosim import (
     Bounds,
     Factor,
@@ -256,9 +256,8 @@ def _hold_in_bands(
     below, above = ({BAND: edges @ outlook.edges(side)} for side in (0, 1))
     for excess in _BESIDE:
         problem.penalise(np.diag(weights[in_bands]), {excess: every}, {})
-    name = "band of y"
-    problem.bound(future_y, -none, limit, {"y_above": every}, name, moving=({}, above), rows=kept)
-    problem.bound(future_y, limit, none, {"y_below": -every}, name, moving=(below, {}), rows=kept)
+    problem.bound(future_y, -none, limit, {"y_above": every}, BAND_OF_Y, moving=({}, above), rows=kept)
+    problem.bound(future_y, limit, none, {"y_below": -every}, BAND_OF_Y, moving=(below, {}), rows=kept)
 
 
 def _pay(problem: Problem, outlook: Outlook, widths: Mapping[str, int], future_y: str) -> None:

@@ -1,4 +1,4 @@
-"""The unit of time that suits an axis, by the length of a run."""
+"""The unit of a time axis: that which suits the length of a run."""
 
 from typing import NamedTuple
 

@@ -10,9 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from ddpc_cosim import CosimError, Drift, Ramp, Steps, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.disturbances import ForecastFile
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
     BandSection,
@@ -288,14 +289,21 @@ def _wanted_as(section: Any) -> str:
 def _outside_facts(study: Study, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield what acts from outside and is known, and what signals cost."""
     for (name, section), known in zip(study.disturbances.items(), known_words(study), strict=True):
-        course = f"its course: {_signal(section.signal, units.get(name, ''))}" if section.signal else ""
-        yield f"disturbance {_plain(name)}", "; ".join(filter(None, (known.partition(": ")[2], course)))
+        words = [f"{section.known}: {known.partition(': ')[2]}"]
+        words += [f"forecasts: {value_text(_short(section.forecast))}"] if section.forecast else []
+        words += [f"its course: {_signal(section.signal, units.get(name, ''))}"] if section.signal else []
+        yield f"known disturbance {_plain(name)}", "; ".join(words)
     for name, price in study.prices.items():
         factor = f"{as_given(price.factor)} · " if price.factor != 1.0 else ""
         ahead = "known ahead" if price.known else "not known ahead"
         paid = f"{_course(price.price, price.unit)} for {factor}{_plain(price.signal)}, {ahead}"
         emitted = f"; emissions: {_course(price.emissions, price.emissions_unit)}" if price.emissions else ""
-        yield f"price of {_plain(name)}", f"{paid}{emitted}"
+        yield f"price {_plain(name)}", f"{paid}{emitted}"
+
+
+def _short(forecast: ForecastFile) -> dict[str, Any]:
+    """Return what is said of a file of forecasts; its folder is that of one machine."""
+    return {**differing(forecast), "file": Path(forecast.file).name}
 
 
 _KNOWN = {
@@ -410,7 +418,7 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
     ]
     facts += [
         (f"{name} in the recording", _signal(signal, units.get(name, "")))
-        for name, signal in (recording.inputs | recording.disturbances).items()
+        for name, signal in (*recording.inputs.items(), *recording.disturbances.items())
     ]
     if recording.start_time is not None:
         facts.append(("recording: start time", given_time(recording.start_time)))
@@ -468,25 +476,24 @@ _TIMES = {"times", "start_time", "from_time", "to_time", "period", "hold"}
 
 def _entries_of(values: Mapping[str, Any]) -> str:
     """Write the values of a signal by their names, times of long runs as people say them."""
-    given = {key: value for key, value in values.items() if value != "" and (key, value) != ("period", 0.0)}
+    given = {key: value for key, value in values.items() if value != "" and (key, value) != ("period", 0)}
     return ", ".join(f"{key.replace('_', ' ')} {_entry_text(key, value)}" for key, value in given.items())
 
 
 def _entry_text(key: str, value: Any) -> str:
     if key in _TIMES and np.max(np.abs(value), initial=0.0) >= _LONG:
-        if isinstance(value, list | tuple):
-            return f"[{', '.join(map(given_time, value))}]"
-        return given_time(value)
+        return f"[{', '.join(map(given_time, value))}]" if isinstance(value, list) else given_time(value)
     if isinstance(value, Mapping) and "kind" in value:
         return _written_signal(value)
-    if key == "parts":
-        return "; ".join(map(_written_signal, value))
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return f"[{', '.join(map(_written_signal, value))}]"
     return value_text(value)
 
 
 def _written_signal(table: Mapping[str, Any]) -> str:
     """Write a signal that stands within another table."""
-    return f"{table['kind']} ({_entries_of(_without(table, {'kind'}))})"
+    unit = f", in {unit_symbol(table['unit']) or table['unit']}" if table.get("unit") else ""
+    return f"{table['kind']} ({_entries_of(_without(table, {'kind', 'unit'}))}{unit})"
 
 
 @dataclass(frozen=True)
@@ -557,8 +564,7 @@ def _signal_effect(what: str, section: Any, own_unit: str, first: int = 0) -> Ef
     if isinstance(section, Ramp):
         values = f"{as_given(section.start)} → {as_given(section.stop)}"
         marks = (Mark(f"{what} {values}", section.start_time, section.stop_time),)
-    elif isinstance(section, Steps) and not section.period:
-        steps = [*zip(section.times, section.values, strict=True)]
+    elif steps := [*zip(getattr(section, "times", ()), getattr(section, "values", ()), strict=False)]:
         marks = tuple(Mark(f"{what} {as_given(value)}", time, time) for time, value in steps[first:])
     return Effect(f"{what}: {_signal(section, own_unit)}", marks)
 
@@ -575,12 +581,8 @@ def _events(section: ScenarioSection) -> Iterator[Effect]:
         )
         before |= after
     for event in section.events:
-        text = f"at {_when(event.time)}: {mapping_text(event.parameters)}"
+        text = f"at {given_time(event.time)}: {mapping_text(event.parameters)}"
         yield Effect(text, (Mark(briefly[id(event)], event.time, event.time),))
-
-
-def _when(seconds: float) -> str:
-    return given_time(seconds).replace("\u00a0", " ")
 
 
 def _recording_text(changes: RecordingChanges) -> str:
@@ -588,7 +590,7 @@ def _recording_text(changes: RecordingChanges) -> str:
 
 
 def _drift_effect(drift: Drift) -> Effect:
-    first, last = _when(drift.start_time), _when(drift.stop_time)
+    first, last = given_time(drift.start_time), given_time(drift.stop_time)
     old, new, name = as_given(drift.start), as_given(drift.stop), _plain(drift.parameter)
     text = f"{name} from {old} to {new} between {first} and {last}"
     return Effect(text, (Mark(f"{name} {old} → {new}", drift.start_time, drift.stop_time),))

@@ -14,7 +14,17 @@ from typing import Any
 import numpy as np
 
 from ddpc_controllers.export.code import STATUSES
-from ddpc_cosim import OK, Action, Controller, ControllerCode, FloatArray, Loop, Sample, Variable
+from ddpc_cosim import (
+    OK,
+    Action,
+    Controller,
+    ControllerCode,
+    FloatArray,
+    Loop,
+    Sample,
+    Variable,
+    further_arguments,
+)
 
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2", "-ffp-contract=off")
 
@@ -75,13 +85,13 @@ class CompiledController:
         outputs = [variable.name for variable in loop.outputs]
         self._others = [i for i, v in enumerate(loop.measurements) if v.name not in outputs]
         self._preview = min(loop.preview, controller.horizon)
+        self._further = further_arguments(loop, controller.horizon)
         self._doubles = ctypes.POINTER(ctypes.c_double)
         self._library.controller_start(ctypes.byref(self.state))
 
     def step(self, sample: Sample) -> FloatArray:
         """Return the inputs for a sample, shape (m,)."""
-        y = np.ascontiguousarray(np.append(sample.y, sample.measured[self._others]))
-        r = np.ascontiguousarray(np.vstack([sample.setpoint, sample.reference[: self._preview]]))
+        y, r = self._arguments(sample)
         self.status = self._library.controller_step(
             ctypes.byref(self.state),
             y.ctypes.data_as(self._doubles),
@@ -89,6 +99,12 @@ class CompiledController:
             self._u,
         )
         return np.array(self._u)
+
+    def _arguments(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
+        y = np.append(sample.y, sample.measured[self._others])
+        further = [getattr(sample, name)[: shape[0]].ravel() for name, shape in self._further.items()]
+        r = [sample.setpoint, sample.reference[: self._preview].ravel(), *further]
+        return np.ascontiguousarray(y), np.concatenate(r)
 
     @property
     def last_step(self) -> tuple[int, int, int]:
@@ -130,7 +146,7 @@ class Beside(Controller):
         self.span = np.array(
             [_size(v, *ends) for v, *ends in zip(loop.inputs, bounds.u_min, bounds.u_max, strict=True)]
         )
-        self._bounds = bounds
+        self._bounds, self._moves = bounds, bool(loop.moving_limits)
 
     def _other(self, loop: Loop) -> Any:
         return CompiledController(self.controller, loop)
@@ -139,12 +155,15 @@ class Beside(Controller):
         answer = self.controller.step(sample)
         action = answer if isinstance(answer, Action) else Action(answer)
         u = self.c.step(sample)
-        wanted = np.clip(action.u, self._bounds.u_min, self._bounds.u_max)  # as the master does
+        low, high = self._bounds.u_min, self._bounds.u_max
+        if self._moves:
+            low, high = sample.input_limits[0].T
+        wanted = np.clip(action.u, low, high)  # as the master does
         self.difference = max(self.difference, float(np.max(np.abs(u - wanted) / self.span)))
         if (action.status == OK) != (self.c.status == 0):
             self.disagreements.append((sample.k, action.status, self.c.status))
         self.steps, self.fallbacks = self.steps + 1, self.fallbacks + (self.c.status != 0)
-        self.limited += bool(((u <= self._bounds.u_min) | (u >= self._bounds.u_max)).any())
+        self.limited += bool(((u <= low) | (u >= high)).any())
         self.statuses, self.active = self.statuses | self.c.status, max(self.active, self.c.last_step[2])
         assert self.c.status & ~sum(STATUSES) == 0
         return Action(u, action.status) if self.drives else action

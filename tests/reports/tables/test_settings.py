@@ -48,9 +48,9 @@ CONTENT: dict[str, Any] = {
         "start": {"torque": 0.25},
         "display_units": {"angle": "deg"},
         "nominal": {"angle": 0.5},
-        "switches": {"torque": "torque_on"},
         "fmi_type": "co-simulation",
         "isolated": True,
+        "switches": {"torque": "torque_on"},
         "parts": [
             {"name": "motor", "plant": "drive", "step": 0.01, "parameters": {"gain": 2.0}},
             {
@@ -87,13 +87,7 @@ CONTENT: dict[str, Any] = {
     "reference": {
         "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
         "constant": {"kind": "constant", "value": 1.0, "unit": "m"},
-        "points": {
-            "kind": "interpolated",
-            "times": [0.0, 3.0],
-            "values": [1.0, 2.0],
-            "unit": "m",
-            "period": 6.0,
-        },
+        "points": {"kind": "interpolated", "times": [0.0, 3.0], "values": [1.0, 2.0], "unit": "m"},
         "ramp": {
             "kind": "ramp",
             "from_value": 0.0,
@@ -239,35 +233,29 @@ CONTENT: dict[str, Any] = {
                     },
                     {
                         "kind": "sum",
+                        "unit": "deg",
                         "parts": [
-                            {"kind": "constant", "value": 0.5},
+                            {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "period": 3.0},
                             {
                                 "kind": "random",
-                                "low": -0.25,
-                                "high": 0.25,
-                                "hold": 3.0,
+                                "low": 1.0,
+                                "high": 2.0,
+                                "hold": 0.5,
                                 "interpolation": "linear",
-                                "unit": "rad",
+                                "unit": "deg",
                             },
                         ],
-                        "unit": "deg",
                     },
                     {
                         "kind": "product",
-                        "parts": [{"kind": "sine", "amplitude": 0.125, "frequency": 0.5}],
                         "unit": "deg",
+                        "parts": [
+                            {"kind": "interpolated", "times": [0.0, 2.0], "values": [1.0, 1.0], "period": 3.0}
+                        ],
                     },
                 ]
             },
-            "inputs": {
-                "wind": {
-                    "kind": "steps",
-                    "times": [0.0, 2.0],
-                    "values": [1.0, 2.0],
-                    "unit": "m/s",
-                    "period": 8.0,
-                }
-            },
+            "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
             "known": {"wind": "perfect"},
             "prices": {"electricity": 0.375},
             "bounds": {"torque": {"min": -2.0, "max": 2.5, "unit": "N.m"}},
@@ -544,7 +532,10 @@ def test_a_scenario_that_only_drifts_says_so(make_results: MakeResults) -> None:
     results = make_results(scenarios={"constant": {}, "slow": {"label": "Slow drift", "drifts": [drift]}})
     rows = loop_rows(results)
     assert rows["scenario constant"] == "nothing changed"
-    assert rows["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
+    assert (
+        rows["scenario Slow drift (slow)"]
+        == "mass from 1 to 0.5 between 5\N{NO-BREAK SPACE}s and 65\N{NO-BREAK SPACE}s"
+    )
 
 
 def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResults) -> None:

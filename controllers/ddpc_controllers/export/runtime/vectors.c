@@ -57,3 +57,8 @@ void prepend_sample(double window[], size_t length, size_t width, const double s
     memmove(window + width, window, (length - 1) * width * sizeof(double));
     memcpy(window, sample, width * sizeof(double));
 }
+
+void forget_oldest(double window[], size_t length, size_t width)
+{
+    memmove(window, window + width, length * width * sizeof(double));
+}

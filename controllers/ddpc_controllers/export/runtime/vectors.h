@@ -27,4 +27,7 @@ void append_sample(double window[], size_t length, size_t width, const double sa
 /* Forget the last sample of a window and put one in front. */
 void prepend_sample(double window[], size_t length, size_t width, const double sample[]);
 
+/* Forget the first of `length` + 1 samples. */
+void forget_oldest(double window[], size_t length, size_t width);
+
 #endif

@@ -3,26 +3,34 @@
 #include <math.h>
 #include <string.h>
 
+#include "ahead.h"
 #include "vectors.h"
 
 /* The parts of the memory. */
 typedef struct {
-    double *u, *y, *reference;
+    double *u, *y, *reference, *d;
+    double *limits; /* NULL where they stand */
     double *resting, *left, *forecast, *answer, *law;
 } Parts;
 
 static Parts parts_of(const Window *window, double memory[])
 {
-    const size_t outputs = window->steps * window->p;
+    const size_t outputs = window->steps * window->p, inputs = window->steps * window->m;
     Parts parts;
     parts.u = memory;
     parts.y = parts.u + window->past_u * window->m;
     parts.reference = parts.y + window->past_y * window->p;
-    parts.resting = parts.reference + window->horizon * window->p + 1;
+    parts.d = parts.reference + window->horizon * window->p;
+    parts.resting = parts.d + window->ahead + 1;
+    parts.limits = NULL;
+    if (window->near != NULL) {
+        parts.limits = parts.resting;
+        parts.resting += 2 * inputs;
+    }
     parts.left = parts.resting + 1;
     parts.forecast = parts.left + 1;
     parts.answer = parts.forecast + outputs;
-    parts.law = parts.answer + window->steps * window->m + outputs;
+    parts.law = parts.answer + inputs + outputs;
     return parts;
 }
 
@@ -38,12 +46,14 @@ static void append_outputs(const Window *window, const Parts *parts, const doubl
 }
 
 /* Keep the planned inputs, and their changes from the last ones on, within limits. */
-static void hold_changes(const Window *window, const double last[], double plan[])
+static void hold_changes(const Window *window, const double limits[], const double last[], double plan[])
 {
-    for (size_t k = 0; k < window->steps; ++k, last = plan, plan += window->m) {
-        for (size_t i = 0; i < window->m; ++i) {
+    const size_t m = window->m, inputs = window->steps * m;
+    const double *low = limits ? limits : window->low, *high = limits ? limits + inputs : window->high;
+    for (size_t k = 0; k < inputs; k += m, last = plan, plan += m) {
+        for (size_t i = 0; i < m; ++i) {
             const double rate = window->rates[i];
-            plan[i] = clip(clip(plan[i], last[i] - rate, last[i] + rate), window->low[i], window->high[i]);
+            plan[i] = clip(clip(plan[i], last[i] - rate, last[i] + rate), low[k + i], high[k + i]);
         }
     }
 }
@@ -60,7 +70,8 @@ static bool plan(const Window *window, const Parts *parts, const Sample *sample,
     told->active_bounds += own.active_bounds;
     if (!solved) return false;
     memcpy(parts->forecast, parts->answer + inputs, outputs * sizeof(double));
-    hold_changes(window, last, parts->answer);
+    if (parts->limits) keep_limits(parts->answer, parts->limits, inputs, window->near, window->m);
+    hold_changes(window, parts->limits, last, parts->answer);
     if (own.status == 0) *parts->left = (double)(window->steps - 1);
     return true;
 }
@@ -79,6 +90,7 @@ void step_window(const Window *window, double memory[], const Sample *sample, do
             return;
         }
         fill_window(parts.y, window->past_y, p, sample->y);
+        fill_window(parts.d, window->past_u, window->disturbances, parts.d + window->past_u * window->disturbances);
         *parts.resting = 0.0;
     } else if (window->current) {
         append_outputs(window, &parts, sample->y);
@@ -92,6 +104,7 @@ void step_window(const Window *window, double memory[], const Sample *sample, do
     }
     memcpy(u, next, m * sizeof(double));
     append_sample(parts.u, window->past_u, m, u);
+    if (window->disturbances) forget_oldest(parts.d, window->past_u, window->disturbances);
     if (!window->current) append_outputs(window, &parts, sample->y);
     if (missing) told->status |= STATUS_EXPECTED;
 }

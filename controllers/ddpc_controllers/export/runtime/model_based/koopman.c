@@ -21,6 +21,14 @@ static void follow(const Koopman *koopman, const KoopmanMemory *held, const doub
     }
     put(first, held->states, koopman->depth, koopman->size, delays ? held->past : measured);
     lift(koopman->terms, koopman->term_count, held->states, held->z);
+    const size_t width = koopman->disturbances, size = koopman->remembered * width;
+    const double *d = held->y + p, *last = d + width;
+    double *before = held->y + p + 2 * width;
+    if (size) {
+        put(first, before, koopman->remembered, width, first ? d : last);
+        memcpy(held->z + koopman->lifted - size, before, size * sizeof(double));
+    }
+    if (width) add_product(koopman->at_once, d, koopman->lifted, width, held->z);
 }
 
 void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sample *sample, double u[], Told *told)
@@ -33,8 +41,11 @@ void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sampl
             held->disturbance[i] += koopman->gain * (held->z[i] - held->predicted[i]);
     } else if (begun) {
         told->status |= STATUS_EXPECTED;
-        multiply(koopman->c, held->predicted, koopman->p, n, held->y);
-        follow(koopman, held, held->y, held->predicted);
+        memcpy(held->z, held->predicted, n * sizeof(double));
+        for (size_t i = 0; koopman->disturbances && i < n; ++i)
+            held->z[i] -= dot(koopman->at_once + i * koopman->disturbances, held->y + koopman->p, koopman->disturbances);
+        multiply(koopman->c, held->z, koopman->p, n, held->y);
+        follow(koopman, held, held->y, held->z);
     } else {
         told->status |= STATUS_HELD;
         memcpy(u, held->u, m * sizeof(double));
@@ -45,5 +56,10 @@ void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sampl
     memcpy(held->predicted, held->disturbance, n * sizeof(double));
     add_product(koopman->a, held->z, n, n, held->predicted);
     add_product(koopman->b, u, n, m, held->predicted);
+    if (koopman->disturbances) {
+        double *d = held->y + koopman->p;
+        add_product(koopman->e, d, n, koopman->disturbances, held->predicted);
+        memcpy(d + koopman->disturbances, d, koopman->disturbances * sizeof(double));
+    }
     memcpy(held->u, u, m * sizeof(double));
 }

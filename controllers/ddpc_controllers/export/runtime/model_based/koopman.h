@@ -15,6 +15,9 @@ typedef struct {
     const double *a, *b, *c;  /* its model */
     double gain;              /* share of an error that counts as a disturbance */
     const Predictor *predictor;
+    size_t disturbances;      /* that are known, */
+    size_t remembered;        /* and how many samples of their past end the lifted state */
+    const double *e, *at_once; /* what they do to the next state, and less what they do to this one */
 } Koopman;
 
 typedef struct {
@@ -24,7 +27,7 @@ typedef struct {
     double *predicted;        /* the lifted state that was predicted of now */
     double *past;             /* with delays: outputs, and after them inputs, the newest first (size) */
     double *states;           /* depth x size, the newest first */
-    double *y;                /* p, of this step only */
+    double *y;                /* p, of this step only; then the disturbances now, at the last sample, and before */
     double *predictor;
 } KoopmanMemory;
 

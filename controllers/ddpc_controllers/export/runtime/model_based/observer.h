@@ -10,6 +10,9 @@ typedef struct {
     size_t m, p, n;           /* inputs, outputs, and states with the 1 that ends them */
     const double *a, *b, *c;  /* the model, n x n, n x m and p x n */
     const double *gain;       /* n x p, its last row zero */
+    size_t disturbances;      /* that are known */
+    const double *e, *f;      /* what they do to the state and the outputs */
+    const double *rest_d;     /* and to the state at rest */
 } Observer;
 
 typedef struct {
@@ -17,8 +20,11 @@ typedef struct {
     double *u;       /* m inputs applied last */
     double *state;   /* n states */
     const double *rest; /* n x (p + 1): the state at rest, given the outputs and 1 */
-    double *scratch; /* n + p numbers */
+    double *scratch; /* n + p numbers, and after them the disturbances now */
 } ObserverMemory;
+
+/* The outputs that the estimate shows. */
+void expected_outputs(const Observer *observer, const ObserverMemory *held, double y[]);
 
 /* Correct the estimate by the outputs measured now, as far as they are finite.
  *

@@ -9,17 +9,21 @@ void regulate(const Regulator *regulator, const ObserverMemory *held, double sum
 {
     const Observer *observer = regulator->observer;
     const size_t m = observer->m, n = observer->n, p = observer->p;
-    double *sum = sums + 1, *wanted = scratch, *y = scratch + m;
-    multiply(regulator->state_gain, held->state, m, n, wanted);
-    for (size_t i = 0; i < m; ++i) {
-        wanted[i] = regulator->u_0[i] - wanted[i];
-        u[i] = wanted[i] - held->u[i];
+    double *sum = sums + 1, *wanted = scratch, *y = scratch + m, *ahead = y + p;
+    const double *low = regulator->low, *high = regulator->high;
+    if (regulator->moves) {
+        low = ahead + regulator->ahead;
+        high = low + m;
     }
+    multiply(regulator->state_gain, held->state, m, n, wanted);
+    for (size_t i = 0; i < m; ++i) wanted[i] = regulator->u_0[i] - wanted[i];
+    if (regulator->ahead) add_product(regulator->feedforward, ahead, m, regulator->ahead, wanted);
+    for (size_t i = 0; i < m; ++i) u[i] = wanted[i] - held->u[i];
     if (sums[0] == 0.0) { /* the loop closes without a bump */
         multiply(regulator->sums_of_inputs, u, p, m, sum);
         sums[0] = 1.0;
     }
-    multiply(observer->c, held->state, p, n, y);
+    expected_outputs(observer, held, y);
     for (size_t i = 0; i < p; ++i) {
         const double error = (isfinite(sample->y[i]) ? sample->y[i] : y[i]) - sample->reference[i];
         if (isfinite(error)) sum[i] += error;
@@ -27,7 +31,7 @@ void regulate(const Regulator *regulator, const ObserverMemory *held, double sum
     }
     for (size_t i = 0; i < m; ++i) {
         wanted[i] -= dot(regulator->sum_gain + i * p, sum, p);
-        u[i] = clip(wanted[i], regulator->low[i], regulator->high[i]);
+        u[i] = clip(wanted[i], low[i], high[i]);
         wanted[i] -= u[i];
     }
     add_product(regulator->sums_of_inputs, wanted, p, m, sum);

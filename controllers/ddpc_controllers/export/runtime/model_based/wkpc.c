@@ -1,5 +1,6 @@
 #include "wkpc.h"
 
+#include "ahead.h"
 #include "vectors.h"
 
 #include <math.h>
@@ -12,6 +13,8 @@ static void rest(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample)
     fill_window(held->samples, wkpc->depth, wkpc->q, sample->measured);
     lift(wkpc->terms, wkpc->term_count, held->samples, held->state);
     fill_window(held->z, wkpc->past, wkpc->lifted, held->state);
+    double *d = held->reference + wkpc->horizon * wkpc->p;
+    fill_window(d, wkpc->past, wkpc->disturbances, d + wkpc->past * wkpc->disturbances);
     *held->resting = 0.0;
 }
 
@@ -41,6 +44,7 @@ void step_wkpc(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample, d
     memcpy(held->reference, sample->reference, wkpc->horizon * p * sizeof(double));
     if (solve_law(wkpc->law, held->z, held->law, held->answer, told)) {
         memcpy(u, held->answer, m * sizeof(double));
+        if (wkpc->near) keep_limits(u, held->reference + wkpc->horizon * p + wkpc->ahead + 1, m, wkpc->near, m);
         forecast = held->answer + m;
     } else {
         memcpy(u, last_u, m * sizeof(double));
@@ -52,6 +56,7 @@ void step_wkpc(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample, d
     }
     append_sample(held->u, wkpc->past, m, u);
     append_sample(held->y, wkpc->past, p, held->now);
+    if (wkpc->disturbances) forget_oldest(held->reference + wkpc->horizon * p, wkpc->past, wkpc->disturbances);
     prepend_sample(held->samples, wkpc->depth, q, held->newest);
     lift(wkpc->terms, wkpc->term_count, held->samples, held->state);
     append_sample(held->z, wkpc->past, wkpc->lifted, held->state);

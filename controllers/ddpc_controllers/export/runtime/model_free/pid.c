@@ -10,15 +10,38 @@ static double kept(const PID *pid, size_t loop, double increment, double excess)
     return increment + pid->tracking[loop] * excess;
 }
 
+/* Let the lags of the disturbances go on by one sample; return the first of them. */
+static const double *lag_disturbances(const PID *pid, double now[], bool first)
+{
+    const size_t width = pid->disturbances;
+    double *begin = now + width, *lags = begin + width;
+    if (first) memcpy(begin, now, width * sizeof(double));
+    for (size_t j = 0; j < pid->lags; ++j) {
+        for (size_t i = 0; i < width; ++i) {
+            double *lag = lags + j * width + i;
+            *lag = pid->poles[j] * *lag + (1.0 - pid->poles[j]) * (now[i] - begin[i]);
+        }
+    }
+    return lags;
+}
+
 void pid_step(const PID *pid, const PIDMemory *held, const Sample *sample, double u[], Told *told)
 {
-    const double *y = sample->y, *r = sample->reference;
+    const double *y = sample->y, *r = sample->reference, *low = pid->low, *high = pid->high;
+    double *now = held->rate + pid->p;
+    const size_t lagged = pid->lags * pid->disturbances;
     if (!all_finite(y, pid->p) || !all_finite(r, pid->p)) {
         *held->elapsed += pid->sampling_time;
         memcpy(u, held->u, pid->m * sizeof(double));
         told->status |= STATUS_HELD;
         return;
     }
+    if (pid->moves) {
+        low = now;
+        high = low + pid->p;
+        now += 2 * pid->p;
+    }
+    const double *lags = lagged ? lag_disturbances(pid, now, held->begun[0] == 0.0) : now;
     for (size_t i = 0; i < pid->p; ++i) {
         double *input = held->u + pid->inputs[i];
         const double share = pid->setpoint_share, gain = pid->proportional[i], filter = pid->filter_time[i];
@@ -26,8 +49,9 @@ void pid_step(const PID *pid, const PIDMemory *held, const Sample *sample, doubl
         if (held->begun[1] == 0.0) held->before[i] = y[i];
         held->rate[i] = (filter * held->rate[i] - pid->derivative[i] * (y[i] - held->before[i])) / (filter + *held->elapsed);
         const double increment = pid->sampling_time * pid->integral[i] * (r[i] - y[i]);
-        const double wanted = gain * (share * r[i] - y[i]) + held->bias[i] + increment + held->rate[i];
-        const double limited = clip(wanted, pid->low[i], pid->high[i]);
+        const double added = lagged ? dot(pid->forward + i * lagged, lags, lagged) : 0.0;
+        const double wanted = gain * (share * r[i] - y[i]) + held->bias[i] + increment + held->rate[i] + added;
+        const double limited = clip(wanted, low[i], high[i]);
         held->bias[i] += kept(pid, i, increment, limited - wanted);
         held->before[i] = y[i];
         *input = limited;

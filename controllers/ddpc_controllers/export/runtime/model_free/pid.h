@@ -13,13 +13,18 @@ typedef struct {
     const double *low, *high; /* limits of the input of each loop */
     double sampling_time, setpoint_share;
     bool clamping;
+    bool moves;               /* whether limits of the inputs move */
+    size_t disturbances, lags; /* that are fed forward, and lags of each */
+    const double *poles;      /* of the lags */
+    const double *forward;    /* what of them goes to each loop: p x lags x disturbances */
 } PID;
 
 typedef struct {
     double *begun;   /* whether `bias` is known, and `before` */
     double *elapsed; /* since `before` [s] */
     double *u;       /* m inputs */
-    double *before, *bias, *rate; /* p values each: y, I and D */
+    double *before, *bias, *rate; /* p values each: y, I and D; after the last ones limits that move, the lower ones
+                                   * first, and disturbances that are fed forward: now, at first, and their lags */
 } PIDMemory;
 
 void pid_step(const PID *pid, const PIDMemory *held, const Sample *sample, double u[], Told *told);
