@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.disturbances import Forecasts, KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
@@ -291,6 +291,7 @@ class LoopSetup:
         places |= {v.name: len(self.plant.outputs) + i for i, v in enumerate(self._measured_inputs)}
         self._d = np.array([places[name] for name in self._declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in self._declared.values()]
+        self.acting = tuple(self._declared)
         self.known = np.array([disturbance.is_known for disturbance in self._declared.values()], dtype=bool)
         self.disturbances = tuple(
             self._sensed[place] for place, is_known in zip(self._d, self.known, strict=True) if is_known
@@ -518,7 +519,7 @@ class LoopSetup:
         tables.setflags(write=False)
         return tables[0], tables[1]
 
-    def expected(self, time: FloatArray, first: int, samples: int) -> Expected:
+    def expected(self, time: FloatArray, first: int, samples: int, *, is_before: bool) -> Expected:
         """Return what is expected of the disturbances at the samples of a run that has been started.
 
         Parameters
@@ -529,12 +530,14 @@ class LoopSetup:
             Its number among those of the run.
         samples : int
             Number of samples of the run from there on.
+        is_before : bool
+            It is an experiment or a warm-up, which files of forecasts need not tell: there they are not used.
         """
         times = RunTimes(float(time[0]), self.sampling_time, samples)
         ahead = len(time) - samples
         longest = ahead if self._forecast_horizon is None else self._forecast_horizon
         truth = np.full((len(time), len(self.disturbances)), np.nan)
-        forecasts, lags = [], []
+        forecasts, lags = list[Forecasts | None](), list[int]()
         for i, variable in enumerate(self.disturbances):
             disturbance = self._declared[variable.name]
             if variable in self._measured_inputs:
@@ -543,10 +546,13 @@ class LoopSetup:
             elif disturbance.signal is not None:
                 signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
                 truth[:, i] = values_at(signal, what, time)
+            lags.append(disturbance.lag)
+            if is_before and disturbance.forecast is not None:
+                forecasts.append(None)
+                continue
             seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
             rng = np.random.default_rng(seed)
             forecasts.append(disturbance.forecasts(variable, truth[:, i], times, longest, rng))
-            lags.append(disturbance.lag)
         return Expected(forecasts, lags, truth)
 
     @property
@@ -602,10 +608,12 @@ class LoopSetup:
         samples: int,
         horizon: int,
         preview: int,
+        *,
+        is_before: bool = False,
     ) -> Outlook:
         """Return what a controller may look at in a run that has been started; parameters as there."""
         price, _ = self.prices_at(time)
-        expected = self.expected(time, first, samples)
+        expected = self.expected(time, first, samples, is_before=is_before)
         return Outlook(wish, limits, self.charges, price, expected, horizon, preview)
 
     def wanted(self, reference: Reference | Band | Wanted) -> Wanted:

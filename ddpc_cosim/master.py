@@ -314,6 +314,7 @@ def cosimulate(
         provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
         disturbances=setup.disturbances,
+        acting=setup.acting,
         bands=loop.bands,
         moving_limits=limits.moving,
         charges=setup.charges,
@@ -459,7 +460,8 @@ def _warm_up(
         raise ConfigError(f"warm_up_controller: {type(controller).__name__} learns from a recording itself")
     start_controller(controller, loop)
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
-    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, loop.preview))
+    preview = loop.preview
+    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     try:
         y_plant = _run(setup, controller, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
@@ -518,7 +520,8 @@ def _experiment(
     y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
     setup.start(time[: samples + later], ahead=later, in_experiment=True)
-    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, loop.preview))
+    preview = loop.preview
+    rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     kind = "open-loop" if stabiliser is None else "closed-loop"
     y_plant = _run_before(setup, exciting, rows, y_plant, "experiment", f"{kind} experiment")
     return _Stretch(rows.recording(), y_plant, exciting.fallbacks)

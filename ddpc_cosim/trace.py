@@ -117,6 +117,8 @@ class Trace:
         What is paid and emitted per amount.
     charged : array, shape (K, n_prices)
         What the plant has of these signals: of an input from ``time[k]`` on, of an output at that time.
+    acting : tuple of str
+        Names of the declared disturbances, those that controllers know nothing of included.
     """
 
     time: FloatArray
@@ -157,6 +159,7 @@ class Trace:
     price: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     emission: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     charged: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    acting: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -262,12 +265,13 @@ class Trace:
 
     def _disturbed(self) -> NDArray[np.bool_] | None:
         """Return at which held samples a disturbance has another value than at the one before."""
-        if not self.disturbances:
+        if not self.acting:
             return None
-        applied = dict(zip(names(self.changed_inputs), self.applied.T, strict=True))
+        courses = dict(zip(names(self.disturbances), self.d.T, strict=True))
+        courses |= dict(zip(names(self.changed_inputs), self.applied.T, strict=True))  # what has really acted
         moves = np.zeros(self.held, dtype=bool)
-        for disturbance, measured in zip(self.disturbances, self.d.T, strict=True):
-            values = applied.get(disturbance.name, measured)[: self.held]
+        for name in courses.keys() & {*self.acting}:
+            values = courses[name][: self.held]
             moves[1:] |= np.abs(np.diff(values)) > 1e-9 * np.ptp(values) if len(values) else False
         return moves
 

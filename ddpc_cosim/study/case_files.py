@@ -296,6 +296,7 @@ def _further(trace: Trace) -> dict[str, Any]:
     """Return what the further columns of a trace are, as far as there are some."""
     further = {
         "disturbances": [asdict(variable) for variable in trace.disturbances],
+        "acting": list(trace.acting),
         "bands": list(trace.bands),
         "moving_limits": list(trace.moving_limits),
         "charges": [charge._asdict() for charge in trace.charges],
@@ -594,6 +595,7 @@ def read_trace(folder: Path) -> Trace:
     limits = ("min", "max")
     return Trace(
         disturbances=tuple(disturbances),
+        acting=tuple(run.get("acting", ())),
         d=table(disturbances, ("disturbance ",)) if disturbances else np.empty((0, 0)),
         forecast=table(foretold, ("forecast ",)) if foretold else np.empty((0, 0)),
         bands=tuple(bands),

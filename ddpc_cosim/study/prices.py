@@ -64,7 +64,7 @@ class Prices:
             section.charge(name, self._known[section.signal])
         except ConfigError as error:
             for fault in error.faults:
-                self.errors.add((*place, "unit"), fault)
+                self.errors.add((*place, "unit"), fault.removeprefix(f"prices: {name}: "))
             return None
         self._check_money(name, section)
         price = self._level((*place, "price"), section.price, Variable(name, section.unit), "")

@@ -132,13 +132,24 @@ class TestLoop:
     def step(self, seen: FloatArray | None = None) -> FloatArray:
         """Take a sample, in which the controller sees the outputs or what is given; return the inputs."""
         k, y = len(self.rows), self._x if seen is None else seen
-        sample = Sample(
-            k, k * self.plant.sampling_time, y.copy(), y.copy(), self._reference.copy(), self._setpoint.copy()
+        reference, setpoint, plant = self._reference.copy(), self._setpoint.copy(), self.plant
+        inputs, outputs = (
+            np.tile([-limit, limit], (len(reference) + 1, plant.size, 1))
+            for limit in (plant.input_limit, OUTPUT_LIMIT)
         )
-        action = answer(self.controller, sample, self.plant.size)
+        sample = Sample(
+            *(k, k * plant.sampling_time, y.copy(), y.copy(), reference, setpoint),
+            forecast=np.empty((len(reference), 0)),
+            band_now=np.stack([setpoint, setpoint], axis=-1),
+            band=np.stack([reference, reference], axis=-1),
+            price=np.empty((len(reference) + 1, 0)),
+            input_limits=inputs,
+            output_limits=outputs[1:],
+        )
+        action = answer(self.controller, sample, plant.size)
         if self._reuse:
-            for array in (sample.y, sample.measured, sample.reference, sample.setpoint):
-                array[:] = np.nan
+            for array in _arrays(sample).values():
+                array[...] = np.nan
         self.rows.append((action.u.copy(), self._x, action.status))
         limit = self.plant.input_limit
         held = np.clip(action.u, -limit, limit)
@@ -151,9 +162,15 @@ class TestLoop:
         return LoopResult(np.array(u), np.array(y), status)
 
 
+def _arrays(sample: Sample) -> dict[str, FloatArray]:
+    """Return the arrays of a sample by name; those without elements may be shared by all."""
+    named = ((name, getattr(sample, name)) for name in sample._fields)
+    return {name: array for name, array in named if isinstance(array, np.ndarray) and array.size}
+
+
 def answer(controller: Controller, sample: Sample, inputs: int) -> Action:
     """Return a controller's answer; raise CheckFailedError if it is not of the contract's shape and type."""
-    given = {name: getattr(sample, name).copy() for name in ("y", "measured", "reference", "setpoint")}
+    given = {name: array.copy() for name, array in _arrays(sample).items()}
     answered = controller.step(sample)
     for name, before in given.items():
         if not np.array_equal(getattr(sample, name), before, equal_nan=True):

@@ -95,5 +95,8 @@ def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
                 "fixed": view.fixed,
+                "time": view.time,
+                "given": drawable(view.given),
+                "also": list(view.also_scaling),
             }
     return {"colours": COLOURS, "data": data, "views": views}

@@ -32,6 +32,7 @@ from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
+from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
 from ddpc_reports.sensitivity import (
     effects_table,
@@ -374,10 +375,15 @@ class _Part:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""
         return [
             *_in_their_place("Ranking", self.table),
+            *_in_their_place("Comfort against money", self._trade),
             *_in_their_place("Claims", lambda: _tables(claims_table(self.results, self.prefix))),
             *_in_their_place("Sweeps", self._swept),
             *_in_their_place("Tuning", self._tuned),
         ]
+
+    def _trade(self) -> list[Block]:
+        shown = [condition for condition in self.seen if condition in self.budget.spread]
+        return _figures([trade_figure(shown, self.prefix)], self.prefix)
 
     def _swept(self) -> list[Block]:
         places = [(condition, f"{self.prefix}{i}-") for i, condition in enumerate(self.seen, start=1)]

@@ -12,9 +12,10 @@ from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.embedding import drawing, pack, stylesheet
+from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
-from ddpc_reports.figures.signal import Column, Signal, rounded
+from ddpc_reports.figures.signal import Column, Signal, rounded, times
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
@@ -108,15 +109,17 @@ def _every(simulation: Simulation) -> list[tuple[Variable, FloatArray, bool]]:
 
 def _signals(simulation: Simulation) -> list[Signal]:
     """Return the first signals, of long runs their envelope."""
-    signals = []
+    signals, times_of_run = [], simulation.time
+    clock = clock_for(float(times_of_run[0]), float(np.ptp(times_of_run))) if len(times_of_run) else SECONDS
     for i, (variable, values, is_input) in enumerate(_every(simulation)[:_MOST_DRAWN]):
         if not len(values):
             break
         kept = _envelope(values)
-        columns: dict[str, Column] = {"t": rounded(simulation.time[kept]), _LINE: rounded(values[kept])}
+        columns: dict[str, Column] = {"t": times(simulation.time[kept], clock), _LINE: rounded(values[kept])}
         unit = unit_symbol(variable.unit)
         name = f"{level_title(variable, unit)}{' (input)' if is_input else ''}"
-        signals.append(Signal(f"x{i}", name, unit, columns, (_LINE,), held=is_input, own_range=True))
+        signal = Signal(f"x{i}", name, unit, columns, (_LINE,), held=is_input, own_range=True, clock=clock)
+        signals.append(signal)
     return signals
 
 
@@ -139,7 +142,8 @@ def _view(simulation: Simulation, signal: Signal, width: int) -> View:
     description = f"{signal.title} over time"
     picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
     place = f"simulation-{signal.id}"
-    return View(place, "", description, spec, picture, signal.id, (_LINE,), signal.unit, (_LINE,))
+    time = signal.clock.unit
+    return View(place, "", description, spec, picture, signal.id, (_LINE,), signal.unit, (_LINE,), time=time)
 
 
 def _caption(simulation: Simulation, signals: list[Signal]) -> str:

@@ -1,13 +1,16 @@
 """Disturbances with forecasts, bands, limits that move and prices in every predictive method from data."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from ddpc_controllers import SPC, WKPC, DeePC, GammaDDPC
+from ddpc_controllers.data.dictionaries import ThinPlate
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_cosim import (
     Action,
@@ -446,3 +449,86 @@ def test_a_dear_input_is_used_less_and_later() -> None:
     scaled = -0.1 * 0.8 * NOMINAL["u"] / (2.0 * WELL_POSED["input_weight"])
     assert u(0.0) == pytest.approx(0.0, abs=1e-12)
     assert u(1.0) == pytest.approx(scaled * NOMINAL["u"], rel=1e-9)
+
+
+@pytest.mark.parametrize("method", [DeePC, partial(WKPC, dictionary=ThinPlate())])
+def test_data_that_follow_the_plant_take_its_disturbances_too(method: Callable[..., Method]) -> None:
+    """After a while they are those of a recording that ends later."""
+    case = PLANTS["two inputs, two outputs"]
+    loop = replace(make(case, 160), **NOTHING, continues_recording=True)
+    settings: dict[str, Any] = {"horizon": 4, "initial_length": 2, "input_weight": 0.5}
+    follows = method(**settings, online_data="sliding-window", excitation_floor=0.0, dither=0.5)
+    follows.start(loop)
+    recording = loop.recording
+    assert recording is not None
+    rng, state = np.random.default_rng(3), np.zeros(case.output.shape[1])
+    for _ in range(25):
+        u, y, d = recording.u[-1:], (case.output @ state)[np.newaxis], rng.uniform(-0.5, 1.0, (1, 2))
+        measured = np.array([[*state, power(u[0], y[0])]])
+        known = {"disturbance": d[0], "forecast": np.tile(d, (4, 1)), "measured": measured[0]}
+        sample = plain_sample(loop, follows, **known)._replace(y=y[0])
+        answer = follows.step(sample)
+        assert isinstance(answer, Action)
+        later = replace(loop, recording=recording)
+        recording = Recording(
+            *(
+                np.vstack([rows[1:], row])
+                for rows, row in (
+                    (recording.u, answer.u[np.newaxis]),
+                    (recording.y, y),
+                    (recording.measured, measured),
+                )
+            ),
+            SAMPLING_TIME,
+            d=np.vstack([recording.d[1:], d]),
+        )
+        state = case.advance(state, np.concatenate([answer.u, d[0]]))
+    assert follows.diagnostics()["online_windows_taken"] == 25
+    expected = started(method(**settings), later).step(sample)
+    assert isinstance(expected, Action)
+    assert answer.info["cost"] == pytest.approx(expected.info["cost"], rel=1e-6)
+
+
+def test_a_band_may_have_one_edge() -> None:
+    loop = replace(make(PLANTS["one input"], 160), moving_limits=(), charges=())
+    d = {"disturbance": np.zeros(1), "forecast": np.zeros((4, 1))}
+    answers = []
+    for upper in (np.inf, 50.0):
+        controller = started(SPC(**WELL_POSED), loop)
+        band = np.tile([0.2, upper], (4, 1, 1))
+        answers.append(controller.step(plain_sample(loop, controller, band=band, band_now=band[0], **d)))
+    assert answers[0].status == "ok"
+    assert answers[0].u == pytest.approx(answers[1].u, rel=1e-9)
+    assert not np.allclose(answers[0].u, 0.0, atol=1e-3)
+
+
+def test_a_limit_that_moves_to_where_nothing_leads_gives_way_and_is_named() -> None:
+    loop = make(PLANTS["one input"], 160)
+    controller = started(SPC(**WELL_POSED), loop)
+    sample = sample_of(loop, 0, np.zeros(1), np.zeros(4), np.zeros(1), 4, np.random.default_rng(0))
+    limits = sample.output_limits.copy()
+    limits[:, 0, 1] = -5.0
+    copied = deepcopy(controller)
+    answer = controller.step(sample._replace(output_limits=limits, measured=sample.measured[:3]))
+    assert isinstance(answer, Action)
+    assert answer.status.startswith("no way to meet")
+    assert answer.status.endswith("y at its upper bound: output bounds softened")
+    low, high = sample.input_limits[0].T
+    assert (low <= answer.u).all()
+    assert (answer.u <= high).all()
+    again = copied.step(sample._replace(output_limits=limits, measured=sample.measured[:3]))
+    assert isinstance(again, Action)
+    assert np.array_equal(again.u, answer.u)
+
+
+@pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC, WKPC])
+def test_inputs_are_within_the_limits_of_now_exactly(method: type[Method]) -> None:
+    loop = replace(make(PLANTS["pendulum"], 160), bands=(), charges=())
+    controller = started(method(horizon=4), loop)
+    rng = np.random.default_rng(0)
+    for k in range(8):
+        y, measured = np.zeros(1), np.zeros(3)
+        sample = sample_of(loop, k, y, measured, np.zeros(1), 4, rng)._replace(reference=np.full((4, 1), 3.0))
+        answer = controller.step(sample)
+        assert isinstance(answer, Action)
+        assert answer.u == sample.input_limits[0, 0, 1]

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
+from scipy.signal import cont2discrete
 
 from ddpc_controllers import (
     IPID,
@@ -38,6 +39,8 @@ from ddpc_cosim import (
     Sample,
     Variable,
 )
+from fmu_plants import PlantModel, building, distillation_column, two_mass_drive
+from fmu_plants.linear import linearise
 
 from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop
 
@@ -645,3 +648,88 @@ def test_a_method_without_a_model_goes_on_where_it_ran(make: Make) -> None:
     for k in range(switched, 60):
         sample = run.samples[k]
         assert np.abs(answer_of(other, sample) - run.u[k]).max() < 1e-9
+
+
+def weather(rng: np.random.Generator, samples: int) -> FloatArray:
+    """Outdoor temperature, and a sun with clouds."""
+    hours = np.arange(samples) / 4.0
+    clouds = np.clip(0.6 + 0.4 * np.repeat(rng.standard_normal(samples // 4 + 1), 4)[:samples], 0.0, 1.0)
+    sun = np.maximum(0.0, 320.0 * np.sin(2 * np.pi * (hours / 24 - 0.25))) * clouds
+    drift = np.cumsum(0.05 * rng.standard_normal(samples))
+    return np.column_stack([4.0 * np.sin(2 * np.pi * (hours / 24 - 0.4)) + drift, sun])
+
+
+def held_levels(amplitude: float) -> Callable[[np.random.Generator, int], FloatArray]:
+    """Levels that last for five samples."""
+    return lambda rng, n: amplitude * rng.uniform(-1.0, 1.0, (n // 5 + 1, 1)).repeat(5, axis=0)[:n]
+
+
+class Case(NamedTuple):
+    """A plant about its operating point, how it is recorded, PID's settings, and what is left at most."""
+
+    model: PlantModel
+    inputs: int
+    outputs: list[int]
+    sampling_time: float
+    samples: int
+    excitation: float
+    noise: float
+    settings: dict[str, Any]
+    course: Callable[[np.random.Generator, int], FloatArray]
+    left: float
+
+
+CASES = {
+    "building": Case(
+        building.MODEL, 1, [0], 900.0, 288, 2250.0, 0.05,
+        {"proportional": 3970.0, "integral": 2.98}, weather, 0.85,
+    ),
+    "distillation-column": Case(
+        distillation_column.MODEL, 2, [0, 1], 120.0, 150, 0.1, 0.01,
+        {"tuning": "step-test", "closed_loop_time": 127.0}, held_levels(0.2), 0.5,
+    ),
+    "two-mass-drive": Case(
+        two_mass_drive.MODEL, 1, [0], 0.02, 120, 2.0, 0.05,
+        {"tuning": "step-test", "closed_loop_time": 0.16}, held_levels(0.5), 0.7,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_pid_feeds_forward_helps_on_plants(name: str) -> None:
+    """Recorded with noise while disturbances move; constant reference; four seeds."""
+    case = CASES[name]
+    linear = linearise(case.model)
+    h, m, p = case.sampling_time, case.inputs, len(case.outputs)
+    a, b, c, _, _ = cont2discrete((linear.A, linear.B, linear.C[case.outputs], linear.D[case.outputs]), h)
+
+    def respond(x: FloatArray, u: FloatArray, d: FloatArray) -> FloatArray:
+        return np.asarray(a @ x + b @ np.append(u, d))
+
+    def recorded(rng: np.random.Generator) -> Recording:
+        u = case.excitation * rng.uniform(-1.0, 1.0, (case.samples, m))
+        d, x, rows = case.course(rng, case.samples), np.zeros(len(a)), []
+        for applied, acting in zip(u, d, strict=True):
+            rows.append(c @ x + case.noise * rng.standard_normal(p))
+            x = respond(x, applied, acting - d[0])
+        return Recording(u, np.array(rows), np.array(rows), h, d=d)
+
+    def error(feedforward: bool, seed: int) -> float:
+        rng = np.random.default_rng(seed)
+        recording, d = recorded(rng), case.course(rng, case.samples)
+        known = tuple(Variable(v.name) for v in case.model.inputs[m:])
+        endless = np.full(m, np.inf), np.full(p, np.inf)
+        loop = make_loop(recording, *endless, disturbances=known, sampling_time=h)
+        controller = PID(**case.settings, feedforward=feedforward)
+        controller.start(loop)
+        x, errors = np.zeros(len(a)), []
+        for k in range(case.samples - 1):
+            errors.append(np.abs(c @ x).mean())
+            y = c @ x + case.noise * rng.standard_normal(p)
+            x = respond(
+                x, answer_of(controller, sample_at(k, y, np.zeros((case.samples, p)), d, 1)), d[k] - d[0]
+            )
+        return float(np.mean(errors[20:]))
+
+    ratios = [error(True, seed) / error(False, seed) for seed in range(4)]
+    assert np.median(ratios) < case.left

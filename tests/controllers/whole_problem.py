@@ -191,7 +191,7 @@ def solve(
     if u_s:
         terms.square(method.input_weight, {"g": data["u"], "u_s": -every_u})
         if len(bands):
-            terms.square(1e-6 * method.input_weight, {"u_s": np.eye(m)}, ahead.rest)
+            terms.square(1e-3 * method.input_weight, {"u_s": np.eye(m)}, ahead.rest)
     else:
         terms.square(method.input_weight, {"g": data["u"]}, np.tile(ahead.rest, n))
     rows_of = {i: data["y"][i::p] for i in range(p)}

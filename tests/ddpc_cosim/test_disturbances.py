@@ -393,6 +393,20 @@ def test_forecasts_from_a_file_are_those_issued_last(tmp_path: Path) -> None:
         np.testing.assert_allclose(sample.forecast[:, 0], issued / 3600 + 100 * lead, rtol=1e-12)
 
 
+@pytest.mark.parametrize("before", ["experiment", "warm-up"])
+def test_a_file_of_forecasts_need_not_tell_what_was_before_the_run(tmp_path: Path, before: str) -> None:
+    file = forecast_file(tmp_path / "f.csv", START + 3600.0 * np.arange(16), np.arange(5) * 3600.0)
+    disturbances = both() | {"outdoors": KnownDisturbance(signal=OUTDOORS, forecast=file)}
+    warmer, keeper = Keeper(), Keeper()
+    if before == "experiment":
+        run(keeper, disturbances=disturbances, excitation=EXCITATION, stabiliser=warmer)
+    else:
+        run(keeper, disturbances=disturbances, warm_up=4 * H, warm_up_controller=warmer)
+    for sample in warmer.seen:
+        np.testing.assert_array_equal(sample.forecast, np.tile(sample.disturbance, (HORIZON, 1)))
+    assert keeper.seen[0].forecast[0, 0] == pytest.approx(START / 3600 + 100 * H)
+
+
 @pytest.mark.parametrize(
     ("issued", "lead", "fault"),
     [

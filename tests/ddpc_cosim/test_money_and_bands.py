@@ -228,7 +228,7 @@ def test_what_a_band_adds_is_written_where_there_is_one() -> None:
 
 def test_where_a_declared_disturbance_moves_there_is_nothing_to_settle_to() -> None:
     sun = Variable("sun", "W/m2")
-    still = replace(banded([19.0] * 41, 20.0, 24.0), bands=(), disturbances=(sun,))
+    still = replace(banded([19.0] * 41, 20.0, 24.0), bands=(), disturbances=(sun,), acting=("sun",))
 
     def moving(d: FloatArray) -> list[bool]:
         output = tracking(replace(still, d=d.reshape(41, 1)))

@@ -5,6 +5,7 @@ import json
 import math
 import tomllib
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, NamedTuple
@@ -45,7 +46,7 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
             continue
         before = r[first - 1] if n else y[0]
         size = r[first] - before
-        if n == 0 and abs(size) < 0.01 * (max(r) - min(r)):
+        if n == 0 and (not size or abs(size) < 0.01 * (max(r) - min(r))):
             size = NAN
         if n and first - begins[n - 1] < 3:
             size = NAN
@@ -79,7 +80,8 @@ def outputs_of(folder: Path, preview: int) -> dict[str, tuple[dict[str, Any], li
         header = f"{output['name']} [{output['unit'] or '1'}]"
         r, y = columns[f"reference {header}"][:-1], columns[header][:-1]
         errors = [a - b for a, b in zip(r, y, strict=True)]
-        outputs[output["name"]] = (output, steps_of(r, y, preview, run["sampling_time"]), errors)
+        steps = [] if band_of(folder, output) else steps_of(r, y, preview, run["sampling_time"])
+        outputs[output["name"]] = (output, steps, errors)
     return outputs
 
 
@@ -93,13 +95,71 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
         table |= {
             f"mean_abs_error.{name} [{unit}]": factor * math.fsum(map(abs, errors)) / len(errors),
             f"rmse.{name} [{unit}]": factor * math.sqrt(math.fsum(e * e for e in errors) / len(errors)),
+        }
+        if edges := band_of(folder, output):
+            hours = read_case(folder)[0]["sampling_time"] / 3600
+            away = [distance(y, *ends) for y, ends in zip(response_of(folder, output), edges, strict=True)]
+            assert away == list(map(abs, errors))
+            table |= {
+                f"band_violation.{name} [{unit}.h]": factor * hours * math.fsum(away),
+                f"band_violation_time.{name} [h]": hours * sum(far > 0 for far in away),
+                f"band_violation_max.{name} [{unit}]": factor * max(away),
+            }
+            continue
+        table |= {
             f"settled_error.{name} [{unit}]": factor * worst([stretch.settled for stretch in stretches]),
             f"settled_share.{name} [%]": worst([100 * step.settled / abs(step.size) for step in steps]),
             f"overshoot.{name} [%]": worst([step.overshoot for step in steps]),
             f"rise_time.{name} [s]": middle([step.rise for step in steps]),
             f"settling_time.{name} [s]": worst([step.settling for step in steps]),
         }
-    return table
+    return table | paid_for(folder)
+
+
+def response_of(folder: Path, output: dict[str, Any]) -> list[float]:
+    """Return an output over the samples that were held, in its own unit."""
+    _, columns = read_case(folder)
+    return columns[f"{output['name']} [{output['unit'] or '1'}]"][:-1]
+
+
+def band_of(folder: Path, output: dict[str, Any]) -> list[tuple[float, float]]:
+    """Return the edges of an output's band over the same samples; nothing without a band."""
+    _, columns = read_case(folder)
+    header = f"{output['name']} [{output['unit'] or '1'}]"
+    if f"lower {header}" not in columns:
+        return []
+    return [*zip(*(columns[f"{edge} {header}"][:-1] for edge in ("lower", "upper")), strict=True)]
+
+
+def distance(y: float, lower: float, upper: float) -> float:
+    return lower - y if y < lower else y - upper if y > upper else 0.0
+
+
+def paid_for(folder: Path) -> dict[str, float]:
+    """Return what prices come to, of amounts in kWh alone, minute by minute for the peak."""
+    run, columns = read_case(folder)
+    charges, h = run.get("charges", []), run["sampling_time"]
+    if not charges:
+        return {}
+    driven = {variable["name"] for variable in (*run["inputs"], *run["changed_inputs"])}
+    money, emissions, power = 0.0, 0.0, [0.0] * (len(columns["time [s]"]) - 1)
+    for charge in charges:
+        column = {
+            kind: next(
+                values for key, values in columns.items() if key.startswith(f"{kind} {charge['name']} [")
+            )
+            for kind in ("price", "emission", "charged")
+        }
+        for k in range(len(power)):
+            x, after = column["charged"][k : k + 2]
+            amount = charge["rate"] * h * (x if charge["signal"] in driven else 0.5 * (x + after))
+            money += column["price"][k] * amount
+            emissions += column["emission"][k] * amount
+            power[k] += amount * 3600 / h
+    minutes = [power[int(60 * minute / h)] for minute in range(round(len(power) * h / 60))]
+    quarters = [fmean(minutes[i : i + 15]) for i in range(0, len(minutes) - 14, 15)]
+    table = {f"money [{charges[0]['unit']}]": money, "energy [kWh]": math.fsum(power) * h / 3600}
+    return table | {"peak [kW]": max(quarters)} | ({"emissions [kg]": emissions} if emissions else {})
 
 
 class Verdict(NamedTuple):
@@ -117,6 +177,7 @@ class Ends(NamedTuple):
     rows: int
     step: float
     settling: bool
+    tail: range
 
 
 def verdict(folder: Path, preview: int) -> Verdict:
@@ -131,7 +192,8 @@ def verdict(folder: Path, preview: int) -> Verdict:
     far, left, worse, alone = False, list[float](), list[float](), list[float]()
     for i, output in enumerate(run["outputs"]):
         r, y = driven[output["name"]]
-        _, nothing = rest[output["name"]]
+        r_at_rest, nothing = rest[output["name"]]
+        edges = band_of(folder, output)
         travel = span([*r, y[0]])
         if min(r) == max(r) and at_rest(travel, [*r, *y]):
             travel = 0.0
@@ -140,21 +202,25 @@ def verdict(folder: Path, preview: int) -> Verdict:
         moves = max(travel, goes if min(r) == max(r) else min(goes, 3 * travel))
         width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
         size = moves or (width if math.isfinite(width) else max(output["nominal"], *map(abs, r)))
-        acted_on = scenario.get("disturbances") or scenario.get("inputs")
+        if edges:
+            gone = max(abs(a - b) for a, b in zip(r_at_rest, nothing, strict=True)) if rests else 0.0
+            travel, moves, size = _task_of_band(edges, y, 0.0 if at_rest(gone, nothing) else gone)
+        acted_on = study.get("disturbances") or scenario.get("disturbances") or scenario.get("inputs")
         scattered = min(scatter(y), scatter(nothing)) if acted_on else 0.0
         s = math.hypot(scenario.get("noise", {}).get(output["name"], 0.0), scattered)
         half = 0.5 * scenario.get("quantum", {}).get(output["name"], 0.0)
-        ends = ends_of(r, y, preview, run["sampling_time"])
+        ends = ends_in_band(edges, y, preview) if edges else ends_of(r, y, preview, run["sampling_time"])
         for end in ends:
             far |= end.magnitude - mean_magnitude(s, end.rows) - half >= 0.5 * size
-            if end.settling:
+            moving = not edges and moves_within(folder, study.get("disturbances", {}), end.tail)
+            if end.settling and not moving:
                 offset = max(end.offset - 4 * s / math.sqrt(end.rows) - half, 0.0)
                 left.append(100 * offset / (abs(end.step) if abs(end.step) > 0.01 * travel else size))
         if rests:
             more = mean_magnitude(s, sum(end.rows for end in ends)) + half
-            worse.append((mean_error(r, y) - mean_error(r, nothing) - more) / size)
+            worse.append((mean_error(r, y) - mean_error(r_at_rest, nothing) - more) / size)
             alone += worse[-1:] if moves else []
-    failed = far or (rests and max(fmean(worse), *alone) > 0.01)
+    failed = far or (rests and max([fmean(worse), *alone]) > 0.01)
     return Verdict(failed, max(left) <= 5.0 if left else None)
 
 
@@ -203,7 +269,53 @@ def ends_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ends
 
 def _end(r: list[float], y: list[float], tail: range, step: float, *, settling: bool) -> Ends:
     errors = [r[k] - y[k] for k in tail]
-    return Ends(fmean(map(abs, errors)), abs(fmean(errors)), len(tail), step, settling)
+    return Ends(fmean(map(abs, errors)), abs(fmean(errors)), len(tail), step, settling, tail)
+
+
+Edges = list[tuple[float, float]]
+
+
+def _task_of_band(edges: Edges, y: list[float], gone: float) -> tuple[float, float, float]:
+    """Return how far a band makes an output travel, what moves while nothing is done, and the task's size."""
+    travel = max(y[0], *(lower for lower, _ in edges)) - min(y[0], *(upper for _, upper in edges))
+    travel = 0.0 if at_rest(travel, y) else travel
+    width = fmean(upper - lower for lower, upper in edges)
+    moves = max(travel, min(gone, 3 * max(travel, width)))
+    return travel, moves, max(moves, width)
+
+
+def ends_in_band(edges: Edges, y: list[float], preview: int) -> list[Ends]:
+    """Return the ends of the stretches of constant edges; steps are widths, or how far the band jumps."""
+    begins = [0, *(k for k in range(1, len(y)) if edges[k] != edges[k - 1]), len(y)]
+    ends = []
+    for first, end in pairwise(begins):
+        last = end - preview
+        if end - first < 3 or last - first < 5:
+            continue
+        (lower, upper), (low, high) = edges[first], edges[max(first - 1, 0)]
+        ends.append(
+            _end_in_band(edges, y, range(last - round((last - first) / 5), last), settling=True)._replace(
+                step=max(upper - lower, lower - high, low - upper)
+            )
+        )
+    tail = range(len(y) - max(round(len(y) / 5), 1), len(y))
+    return ends or [_end_in_band(edges, y, tail, settling=False)]
+
+
+def _end_in_band(edges: Edges, y: list[float], tail: range, *, settling: bool) -> Ends:
+    mean = fmean(distance(y[k], *edges[k]) for k in tail)
+    return Ends(mean, mean, len(tail), 0.0, settling, tail)
+
+
+def moves_within(folder: Path, disturbances: Any, tail: range) -> bool:
+    """Return whether a declared disturbance is another one at a sample than at the one before."""
+    _, columns = read_case(folder)
+    for name in disturbances:
+        acted = (f"applied {name} [", f"disturbance {name} [")  # inputs, and what is measured alone
+        values = next(columns[key] for begin in acted for key in columns if key.startswith(begin))[:-1]
+        if any(k and abs(values[k] - values[k - 1]) > 1e-9 * span(values) for k in tail):
+            return True
+    return False
 
 
 def mean_error(r: list[float], y: list[float]) -> float:

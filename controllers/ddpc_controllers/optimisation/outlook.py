@@ -8,6 +8,7 @@ own time, t_k+i or t_k+i+1, whichever the method's first one is.
 """
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -156,6 +157,7 @@ class Outlook:
         }
         self.windows = {name: size for name, size in sizes.items() if size[1]}
         self.moves_inputs = INPUT_LIMITS in self.windows
+        self._holds_bands = BAND in self.windows
         self._passing = past > 0 and D in self.windows
         self._arrange(loop, settings.use_forecast, units)
 
@@ -181,9 +183,9 @@ class Outlook:
         self._chosen_of(sample, ahead)
         if self._units is not None:
             ahead /= self._units
-        if BAND in self.windows:
+        if self._holds_bands and not isfinite(np.dot(ahead, ahead)):
             edges = parameters.window(BAND)
-            np.minimum(np.maximum(edges, -ENDLESS, out=edges), ENDLESS, out=edges)
+            np.clip(edges, -ENDLESS, ENDLESS, out=edges)
 
     def _chosen_of(self, sample: Sample, out: FloatArray | None = None) -> FloatArray:
         """Return what the parameters are of a sample, in its units."""
@@ -224,8 +226,7 @@ class Outlook:
     def advance(self, parameters: ParameterVector) -> None:
         """Go on to the next sample: the disturbances of this one are of the past."""
         if self._passing:
-            d = parameters.window(D)
-            d[:-1] = d[1:]
+            parameters.shift(D)
 
     def _arrange(
         self,

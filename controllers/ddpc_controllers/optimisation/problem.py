@@ -315,6 +315,11 @@ class ParameterVector:
         older[...] = newer
         newest[...] = sample
 
+    def shift(self, name: str) -> None:
+        """Forget a window's oldest sample; the newest stands there twice until it is set."""
+        older, newer, _ = self._moves[name]
+        older[...] = newer
+
     def __reduce__(self) -> tuple[type["ParameterVector"], tuple[Mapping[str, tuple[int, int]], FloatArray]]:
         """Copy the array once: its windows are views, which copies would part from it."""
         return type(self), (self._shapes, self.array)

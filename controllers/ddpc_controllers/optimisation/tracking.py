@@ -24,6 +24,8 @@ Setpoint = Literal["input", "input-output", "none"]
 SETPOINTS = ("input", "input-output", "none")
 
 _PREFERENCE = 1e-6
+_DRAWN_TO_REST = 1e-3
+"""Weight of u_s off rest where little else determines it: less loses digits where bounds give way."""
 _ADVICE = (
     "; outputs within a band and what is paid have no curvature: make input_weight positive, or "
     "change_weight where there is one"
@@ -104,7 +106,7 @@ def tracking_problem(
 
     Neither has curvature within the band. The squares |u - u_s|_R^2 or |u - u_rest|_R^2, the changes of the
     inputs, the outputs that follow a reference and a regulariser of g keep the optimum determined. With
-    artificial setpoints, where fewer outputs follow a reference than there are inputs, 1e-6
+    artificial setpoints, where fewer outputs follow a reference than there are inputs, 1e-3
     |u_s - u_rest|_R^2 is added for it.
 
     Parameters
@@ -178,7 +180,8 @@ def tracking_problem(
     if "u_s" in free:
         problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
         if m > len(followed) and (prefer_rest or len(followed) < p):
-            problem.penalise(_PREFERENCE * r, {"u_s": np.eye(m)}, {"one": rest[:, np.newaxis]})
+            drawn = _PREFERENCE if len(followed) == p else _DRAWN_TO_REST
+            problem.penalise(drawn * r, {"u_s": np.eye(m)}, {"one": rest[:, np.newaxis]})
     else:
         problem.penalise(r, {"u": every_u}, {"one": held_u @ rest[:, np.newaxis]})  # |u_k|_R^2, off rest
     if change.any():

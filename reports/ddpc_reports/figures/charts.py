@@ -336,6 +336,58 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
     return _chart_of_rows(rows, layers, 260)
 
 
+def trade_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bool, width: int) -> Spec:
+    """Return controllers over what they cost and what they leave, their seeds faint behind them.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``x``, ``y``, ``key``, ``label``; ``median`` (bool: of all seeds, otherwise of one), ``front`` (bool:
+        of the medians that no other is better than in one and at least as good in the other) and ``point``
+        (bool: a reference point, which is labelled).
+    titles : sequence of str
+        What the axes are.
+    joined : bool
+        Whether a line joins the front.
+    width : int
+        Of the static drawing [px].
+    """
+    x, y = (
+        field(side, title) | _axis_of([row[side] for row in rows], title)
+        for side, title in zip("xy", titles, strict=True)
+    )
+    names = list(dict.fromkeys(row["key"] for row in rows))
+    place, hue = {"x": x, "y": y}, colours_of(names)
+    line = {"type": "line", "color": "var(--ink-soft)", "strokeWidth": 1.2, "interpolate": "step-after"}
+    seeds, medians = {"filter": "!datum.median"}, {"filter": "datum.median"}
+    point, words = {"filter": "datum.point"}, {"type": "text", "fontSize": 11, "color": "var(--ink)"}
+    frame = {"type": "point", "shape": "diamond", "size": 170, "filled": False, "color": "var(--ink)"}
+    layers = [
+        *([layer(line, place, None, {"filter": "datum.front"})] if joined else []),
+        layer(
+            {"type": "circle", "size": 24, "opacity": 0.35}, {**place, "color": hue}, None, _NOT_HIDDEN, seeds
+        ),
+        layer(
+            {"type": "circle", "size": 90, "opacity": 1}, {**place, "color": hue}, None, _NOT_HIDDEN, medians
+        ),
+        layer(frame, place, None, _NOT_HIDDEN, medians, point),
+        layer(
+            words | {"align": {"expr": f"datum.x > {_middle(rows)} ? 'right' : 'left'"}, "dy": -12},
+            {**place, "text": field("label", None, "nominal")},
+            None,
+            _NOT_HIDDEN,
+            medians,
+            point,
+        ),
+    ]
+    return _chart_of_rows(rows, layers, 240, width=width)
+
+
+def _middle(rows: Sequence[dict[str, Any]]) -> float:
+    values = [float(row["x"]) for row in rows]
+    return (min(values) + max(values)) / 2
+
+
 def ranges_widely(values: Sequence[float]) -> bool:
     """Whether values ask for a logarithmic axis."""
     return min(values) > 0 and max(values) > _LOGARITHMIC_FROM * min(values)

@@ -3,10 +3,10 @@
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from operator import attrgetter, itemgetter
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.metrics import metric_name
@@ -47,6 +47,15 @@ class Entry:
     note: str
 
 
+class Key(NamedTuple):
+    """A line of a legend that is not a controller's: what it is and how it is drawn; an area is as wide."""
+
+    label: str
+    colour: str
+    dashes: str = ""
+    is_area: bool = False
+
+
 @dataclass(frozen=True)
 class View:
     """One chart of a figure: as Vega-Lite, drawn, and what its readout and its ranges are made of."""
@@ -63,6 +72,12 @@ class View:
     limits: tuple[float, ...] = ()
     fixed: bool = False
     """Whether its range is not that of its values, as long as the whole time is shown."""
+    time: str = "s"
+    """The unit of its time axis."""
+    given: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """By column what is read out besides the controllers' values: its name and its colour."""
+    also_scaling: tuple[str, ...] = ()
+    """Columns besides those of controllers that set its range."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +91,7 @@ class Figure:
     legend: tuple[Entry, ...] = ()
     reference: bool = False
     folded: bool = False
+    keys: tuple[Key, ...] = ()
 
     @property
     def panels(self) -> list[tuple[str, list[View]]]:

@@ -1,22 +1,29 @@
 """The figures over time of a condition: which panels, which lines, what their captions say."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS
-from ddpc_reports.figures.figure import Figure, View, entry, in_its_place
+from ddpc_reports.figures.figure import Figure, Key, View, entry, in_its_place
+from ddpc_reports.figures.outside import (
+    FORECAST,
+    MEASURED,
+    charged_signals,
+    disturbance_signals,
+    price_signals,
+)
 from ddpc_reports.figures.samples import InfoSignals, Over, column_name, info_signals, seen
-from ddpc_reports.figures.signal import BAND, Column, Signal, known
+from ddpc_reports.figures.signal import BAND, LOWER, UPPER, Column, Signal, known
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.tables.settings import own_units, scenario_effects
+from ddpc_reports.tables.settings import known_words, own_units, scenario_effects
 
 Kind = Literal["responses", "errors", "inputs"]
 
@@ -24,6 +31,7 @@ _INFO = "What controllers said of their steps"
 _HEIGHTS = {"Responses": (236, 188), "Errors": (176, 134), "Control signals": (164, 124)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
+_OUTSIDE = (130, 110)
 
 
 class TimeFigures(NamedTuple):
@@ -32,8 +40,9 @@ class TimeFigures(NamedTuple):
     Parameters
     ----------
     figures : dict
-        ``responses``: outputs with their reference; ``errors``: reference minus output; ``inputs``: these,
-        and folded their changes and what controllers reported. A sentence stands for what cannot be shown.
+        ``responses``: outputs with their reference or band, and below them known disturbances, prices and
+        what is paid for; ``errors``: reference minus output; ``inputs``: these, and folded their changes and
+        what controllers reported. A sentence stands for what cannot be shown.
     samples : dict
         By name the columns of what the figures draw.
     """
@@ -74,16 +83,31 @@ def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -
         make = partial(_time_figure, scene, signals, title, what, more)
         return [in_its_place(title, make)] if signals else []
 
-    responses = figure("Responses", drawn.outputs, "controlled output and reference (thin solid line)", words)
+    responses = figure("Responses", drawn.outputs, f"controlled output and {_wanted(drawn.outputs)}", words)
     if sketched:
         samples = {signal.id: signal.columns for signal in drawn.outputs}
         return TimeFigures({"responses": responses, "errors": [], "inputs": []}, samples)
-    errors = figure("Errors", drawn.errors, "reference minus output; each panel has its own scale")
+    outside = {
+        "Disturbances": (disturbance_signals(condition, prefix), _disturbance_words),
+        "Prices": (price_signals(condition, prefix), _price_words),
+    }
+    responses += [
+        in_its_place(title, partial(_outside_figure, scene, signals, title, caption))
+        for title, (signals, caption) in outside.items()
+        if signals
+    ]
+    charged = charged_signals(condition, prefix)
+    responses += figure("Paid for", charged, "signals that are paid for")
+    what = "reference minus output"
+    if any(signal.has_band for signal in drawn.outputs):
+        what += ", of a band the distance to its nearer edge, 0 within it"
+    errors = figure("Errors", drawn.errors, f"{what}; each panel has its own scale")
     inputs = figure("Control signals", drawn.inputs, sent)
     inputs += figure("Change of control signals", drawn.changes, change)
     if (info := info_signals(condition, prefix)).signals:
         inputs.append(in_its_place(_INFO, partial(_info_figure, scene, info)))
-    shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *info.signals]
+    shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *info.signals, *charged]
+    shown += [signal for signals, _ in outside.values() for signal in signals]
     samples = {signal.id: signal.columns for signal in shown}
     samples |= {f"{signal.id}{BAND}": signal.band for signal in shown if signal.band}
     return TimeFigures({"responses": responses, "errors": errors, "inputs": inputs}, samples)
@@ -111,6 +135,9 @@ def _scenario(condition: Condition) -> tuple[list[Mark], str]:
     start = results.study.loop.start_time
     end = start + results.study.loop.duration
     marks, marked, rest = list[Mark](), list[str](), list[str]()
+    if section:  # known disturbances have figures of their own
+        drawn = results.study.disturbances
+        section = replace(section, inputs={k: v for k, v in section.inputs.items() if k not in drawn})
     for effect in scenario_effects(section, own_units(traces)) if section else []:
         within = [mark for mark in effect.marks if start < mark.end and mark.begin < end]
         within = [mark for mark in within if mark.end > mark.begin or mark.begin > start]
@@ -175,7 +202,98 @@ def _time_figure(scene: _Scene, signals: Sequence[Signal], title: str, what: str
         tuple(entry(controller) for controller in condition.controllers if controller in shown),
         reference=any(signal.has_reference for signal in signals),
         folded=title not in _HEIGHTS,
+        keys=_keys(signals),
     )
+
+
+def _keys(signals: Sequence[Signal]) -> tuple[Key, ...]:
+    """Return what a legend says of bands, of limits that change and of what acts from outside."""
+    band = [Key("band", "var(--ink)", is_area=True)] if any(signal.has_band for signal in signals) else []
+    looks = [
+        Key(given.label or "expected", given.colour, " ".join(f"{length:g}" for length in given.dashes))
+        for signal in signals
+        for given in signal.given
+    ]
+    return tuple(dict.fromkeys((*band, *looks)))
+
+
+def _wanted(signals: Sequence[Signal]) -> str:
+    """Say how what is wanted is drawn."""
+    line, band = "reference (thin solid line)", "the band in which it is wanted (grey)"
+    bands = [signal.has_band for signal in signals]
+    return f"{line} or {band}" if any(bands) and not all(bands) else band if any(bands) else line
+
+
+def _outside_figure(
+    scene: _Scene, signals: Sequence[Signal], title: str, caption: Callable[[_Scene, Sequence[Signal]], str]
+) -> Figure:
+    """Return the figure of what acts from outside, which is the same for all controllers."""
+    identifier = f"{scene.prefix}{title.lower()}"
+    alone = len(signals) == 1
+    size = (WIDE if alone else NARROW, _OUTSIDE[0 if alone else 1])
+    views = tuple(
+        _outside_view(scene, signal, size, f"{identifier}-{number}")
+        for number, signal in enumerate(signals, 1)
+    )
+    keys = _keys(signals)
+    return Figure(identifier, title, caption(scene, signals), views, keys=keys if len(keys) > 1 else ())
+
+
+def _outside_view(scene: _Scene, signal: Signal, size: tuple[int, int], identifier: str) -> View:
+    spec = time_chart(signal, [], scene.condition.results.study.loop.sampling_time, (), size)
+    ranges = [
+        f"{given.label} {_range_of(signal.columns[given.columns[0]])}"
+        for given in signal.given
+        if given.label
+    ]
+    description = f"{signal.title} {_over_time(signal)}: {'; '.join(ranges)}"
+    picture = drawing(spec, identifier, description, {signal.id: signal.columns})
+    return View(identifier, "", description, spec, picture, signal.id, unit=signal.unit, **_read_out(signal))
+
+
+def _read_out(signal: Signal) -> dict[str, Any]:
+    """Return what a view has of a signal besides the controllers' lines."""
+    given = {
+        column: (given.label, given.colour)
+        for given in signal.given
+        for column in given.columns
+        if given.label
+    }
+    edges = {LOWER: ("lower edge", "var(--ink)"), UPPER: ("upper edge", "var(--ink)")}
+    return {
+        "time": signal.clock.unit,
+        "given": (edges if signal.has_band else {}) | given,
+        "also_scaling": tuple(name for name in signal.also_scaling if name != "r"),
+    }
+
+
+def _disturbance_words(scene: _Scene, signals: Sequence[Signal]) -> str:
+    """Say what is drawn of disturbances, and what controllers are told of each."""
+    condition = scene.condition
+    what = "what acts on the plant besides its inputs"
+    if any(MEASURED in signal.columns for signal in signals):
+        what += ", and as it is measured where that differs"
+    if any(f"{FORECAST}0" in signal.columns for signal in signals):
+        what += (
+            ", with what controllers expect at a few moments of the run, as far ahead as any of them looks"
+        )
+    known = "; ".join(known_words(condition.results.study, condition.scenario))
+    return f"Disturbances at seed {condition.seeds[0]}: {what}. Known: {known}."
+
+
+def _price_words(scene: _Scene, signals: Sequence[Signal]) -> str:
+    """Say what prices are of, and whether they are known ahead."""
+    charges = next(iter(scene.condition.first_traces.values())).charges
+    paid = [
+        f"{_plain_name(charge.name)} for {_plain_name(charge.signal)}, "
+        f"{'' if charge.known else 'not '}known ahead"
+        for charge in charges
+    ]
+    return f"Prices over time, drawn as they hold from sample to sample: {'; '.join(paid)}."
+
+
+def _plain_name(name: str) -> str:
+    return clipped(name.replace("_", " "))
 
 
 def _band_words(scene: _Scene, signals: Sequence[Signal]) -> str:
@@ -187,7 +305,8 @@ def _band_words(scene: _Scene, signals: Sequence[Signal]) -> str:
         "from the least to the most" if over.is_range else "from the 10\u00a0% to the 90\u00a0% quantile"
     )
     first = "the first " if over.left_out else ""
-    words = f" Bands: {from_to} over {first}{over.seeds} seeds, with the median as a thin line"
+    coloured = "Coloured bands" if any(signal.has_band for signal in signals) else "Bands"
+    words = f" {coloured}: {from_to} over {first}{over.seeds} seeds, with the median as a thin line"
     failed = [
         f"{clipped(controller.label)} {over.failed[column_name(controller)]}"
         for controller in scene.condition.controllers
@@ -257,7 +376,8 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
     spec = time_chart(signal, order, sampling_time, scene.marks, size)
     description = _description(signal, members)
     # What is not drawn costs time.
-    of_panel = {"t", "r", *(name + end for name in names for end in ("", "l", "h"))}
+    given = {column for given in signal.given for column in given.columns}
+    of_panel = {"t", *signal.wanted, *given, *(name + end for name in names for end in ("", "l", "h"))}
     samples = {
         name: {key: columns[key] for key in columns if key in of_panel}
         for name, columns in ((signal.id, signal.columns), (f"{signal.id}{BAND}", signal.band))
@@ -272,20 +392,29 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
         tuple(names),
         signal.unit,
         signal.scaling(names),
-        tuple(signal.limits),
+        (*signal.limits, *signal.reach),
         fixed=signal.is_fixed,
+        **_read_out(signal),
     )
 
 
 def _description(signal: Signal, members: Sequence[ControllerResults]) -> str:
     """Say what a chart shows to those who do not see it: whose lines, their range and their last value."""
-    ranges = []
-    for member in members:
-        values = known(signal.columns[column_name(member)]) or [math.nan]
-        low, high, last = (significant(value, 3) for value in (min(values), max(values), values[-1]))
-        ranges.append(f"{clipped(member.label)} from {low} to {high}, at the end {last}")
+    ranges = [
+        f"{clipped(member.label)} {_range_of(signal.columns[column_name(member)])}" for member in members
+    ]
+    return f"{signal.title} {_over_time(signal)}: {'; '.join(ranges)}"
+
+
+def _range_of(column: Column) -> str:
+    values = known(column) or [math.nan]
+    low, high, last = (significant(value, 3) for value in (min(values), max(values), values[-1]))
+    return f"from {low} to {high}, at the end {last}"
+
+
+def _over_time(signal: Signal) -> str:
     first, end = (as_given(time) for time in signal.end)
-    return f"{signal.title} over time, {first} to {end} s: {'; '.join(ranges)}"
+    return f"over time, {first} to {end} {signal.clock.unit}"
 
 
 def _travel(column: Column) -> float:

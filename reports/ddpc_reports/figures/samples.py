@@ -5,13 +5,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median_low
+from typing import NamedTuple
 
 import numpy as np
 
 from ddpc_cosim import FloatArray, Trace, Variable
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
-from ddpc_reports.figures.signal import DIGITS, Column, Signal, known, rounded
+from ddpc_reports.figures.clock import Clock, clock_for
+from ddpc_reports.figures.signal import LOWER, UPPER, Column, Given, Signal, known, rounded, times
 from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _BAND_DIGITS = 4
@@ -67,12 +69,13 @@ def column_name(controller: ControllerResults) -> str:
 
 def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
     """Read the traces of the first seed, and of others for bands, and return their signals."""
-    traces = _first_runs(condition)
+    traces = first_runs(condition)
     if not traces:
         return Seen()
     everyone, over = _over_seeds(condition, sum(map(len, traces.values()))) if bands else ({}, Over())
     labels = {column_name(controller): clipped(controller.label) for controller in condition.controllers}
-    runs = _Runs(traces, max(traces.values(), key=len), trusted(traces), everyone, labels)
+    longest = max(traces.values(), key=len)
+    runs = _Runs(traces, longest, trusted(traces), everyone, labels, clock_of(condition))
     outputs, inputs = range(len(runs.longest.outputs)), range(len(runs.longest.inputs))
     return Seen(
         [_level(runs, i, f"{prefix}y{i}", is_input=False) for i in outputs],
@@ -83,7 +86,14 @@ def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
     )
 
 
-def _first_runs(condition: Condition) -> dict[str, Trace]:
+def clock_of(condition: Condition) -> Clock:
+    """Return the unit of time of the figures of a condition."""
+    loop = condition.results.study.loop
+    return clock_for(loop.start_time, loop.duration)
+
+
+def first_runs(condition: Condition) -> dict[str, Trace]:
+    """Return the runs of the first seed, by column."""
     traces = condition.first_traces
     return {
         column_name(controller): traces[controller.key]
@@ -132,18 +142,18 @@ class InfoSignals:
 
 def info_signals(condition: Condition, prefix: str) -> InfoSignals:
     """Return ``Trace.info`` of the first seed as signals; none where no controller reported any."""
-    traces = _first_runs(condition)
+    traces = first_runs(condition)
     names = list(dict.fromkeys(name for trace in traces.values() for name in trace.info))
     if not names:
         return InfoSignals([], 1, 0)
-    longest, scaled_by = max(traces.values(), key=len), trusted(traces)
+    longest, scaled_by, clock = max(traces.values(), key=len), trusted(traces), clock_of(condition)
     every = -(-len(longest) // _MOST_DRAWN)
     signals = []
     for i, name in enumerate(names[:_MOST_NAMES]):
-        columns = {"t": rounded(longest.time[::every])}
+        columns = {"t": times(longest.time[::every], clock)}
         info = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
         columns |= {key: rounded(values[::every]) for key, values in info.items()}
-        signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True))
+        signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True, clock=clock))
     return InfoSignals(signals, every, len(names) - len(signals))
 
 
@@ -156,12 +166,18 @@ class _Runs:
     trusted: tuple[str, ...]
     everyone: dict[str, list[Trace]]
     labels: dict[str, str]
+    clock: Clock
+
+    def times(self) -> Column:
+        """Return the times of the longest run."""
+        return times(self.longest.time, self.clock)
 
     def band(
         self, columns: Mapping[str, Column], values_of: Callable[[Trace], FloatArray], *, held: bool
     ) -> dict[str, Column]:
         """Return median and ends of a signal over the seeds, thinned out to what a chart can show."""
-        drawn = [value for name in ("r", *self.trusted) for value in known(columns.get(name, []))]
+        asked = ("r", LOWER, UPPER, *self.trusted)
+        drawn = [value for name in asked for value in known(columns.get(name, []))]
         thinnest = _THINNEST * (max(drawn, default=0.0) - min(drawn, default=0.0))
         averaged: dict[str, Column] = {}
         for name, traces in self.everyone.items():
@@ -176,7 +192,7 @@ class _Runs:
             low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
             if (high - low).max() > thinnest:
                 middle = np.median(values, axis=0)[middles]
-                averaged["t"] = rounded(traces[0].time[middles])
+                averaged["t"] = times(traces[0].time[middles], self.clock)
                 columns_of = zip(("", "l", "h"), (middle, low, high), strict=True)
                 averaged |= {name + end: rounded(column, _BAND_DIGITS) for end, column in columns_of}
         return averaged
@@ -231,15 +247,30 @@ def _level(runs: _Runs, i: int, name: str, *, is_input: bool) -> Signal:
     def shown(trace: Trace) -> FloatArray:
         return variable.shown_in.from_unit((trace.u if is_input else trace.y)[:, i])
 
-    columns = {"t": rounded(longest.time)}
-    if not is_input:
+    columns = {"t": runs.times()}
+    if not is_input and variable.name in longest.bands:
+        edges = variable.shown_in.from_unit(longest.band[:, i])
+        columns |= {LOWER: rounded(edges[:, 0]), UPPER: rounded(edges[:, 1])}
+    elif not is_input:
         columns["r"] = rounded(variable.shown_in.from_unit(longest.reference[:, i]))
     columns |= {key: rounded(shown(trace)) for key, trace in runs.traces.items()}
-    near, far = _limits(runs, columns, variable, i, is_input=is_input)
+    limits = _limits(runs, columns, variable, i, is_input=is_input)
     unit = unit_symbol(variable.shown_in.name)
     band = runs.band(columns, shown, held=is_input)
-    title = level_title(variable, unit)
-    return Signal(name, title, unit, columns, runs.trusted, near, far, held=is_input, band=band)
+    return Signal(
+        name,
+        level_title(variable, unit),
+        unit,
+        columns | limits.columns,
+        runs.trusted,
+        limits.near,
+        limits.far,
+        held=is_input,
+        band=band,
+        clock=runs.clock,
+        given=limits.given,
+        reach=limits.reach,
+    )
 
 
 def _error(runs: _Runs, i: int, name: str) -> Signal:
@@ -250,23 +281,30 @@ def _error(runs: _Runs, i: int, name: str) -> Signal:
         return (trace.reference[:, i] - trace.y[:, i]) * variable.shown_in.factor
 
     errors = {key: shown(trace) for key, trace in runs.traces.items()}
-    columns = {"t": rounded(runs.longest.time)} | {key: rounded(error) for key, error in errors.items()}
-    calm = settled_samples(runs.longest.reference[:, i], runs.longest.preview)
+    columns = {"t": runs.times()} | {key: rounded(error) for key, error in errors.items()}
+    longest, is_band = runs.longest, variable.name in runs.longest.bands
+    if is_band:
+        calm = np.logical_and(*(settled_samples(edge, longest.preview) for edge in longest.band[:, i].T))
+        step = float(np.mean(np.diff(longest.band[:, i])))
+    else:
+        calm = settled_samples(longest.reference[:, i], longest.preview)
+        reference = longest.reference[:, i]
+        moves = np.abs(np.diff(reference, prepend=runs.traces[[*runs.trusted, *runs.traces][0]].y[0, i]))
+        step = float(moves.max() if not calm.all() else np.ptp(reference))
     settled = {key: _size(error[calm[: len(error)]]) for key, error in errors.items()}
-    reference = runs.longest.reference[:, i]
-    moves = np.abs(np.diff(reference, prepend=runs.traces[[*runs.trusted, *runs.traces][0]].y[0, i]))
-    step = float(moves.max() if not calm.all() else np.ptp(reference)) * abs(variable.shown_in.factor)
     unit = difference_symbol(variable.shown_in.name)
+    words = _words(variable)
     return Signal(
         name,
-        _title(f"error of {_words(variable)}", unit),
+        _title(f"distance of {words} to its band" if is_band else f"error of {words}", unit),
         unit,
         columns,
         runs.trusted,
         own_range=True,
         band=runs.band(columns, shown, held=False),
         settled=settled,
-        step=step,
+        step=step * abs(variable.shown_in.factor),
+        clock=runs.clock,
     )
 
 
@@ -294,7 +332,7 @@ def settled_samples(reference: FloatArray, preview: int) -> "np.ndarray[tuple[in
 
 def _change(runs: _Runs, i: int, name: str) -> Signal:
     variable = runs.longest.inputs[i]
-    columns = {"t": rounded(runs.longest.time)}
+    columns = {"t": runs.times()}
     for key, trace in runs.traces.items():
         # Before the first sample the input stood at its value at rest, as far as the limits allow.
         rest = np.clip(variable.start, trace.bounds.u_min[i], trace.bounds.u_max[i])
@@ -302,29 +340,81 @@ def _change(runs: _Runs, i: int, name: str) -> Signal:
     unit = difference_symbol(variable.shown_in.name)
     title = _title(f"change of {_words(variable)}", unit)
     # One jump at the start would flatten every other panel.
-    return Signal(name, title, unit, columns, runs.trusted, held=True, own_range=True)
+    return Signal(name, title, unit, columns, runs.trusted, held=True, own_range=True, clock=runs.clock)
+
+
+class _Limits(NamedTuple):
+    """The limits of a signal.
+
+    Parameters
+    ----------
+    near : dict of float to str
+        Constant ones that can be shown without squeezing the samples, and whose they are.
+    far : tuple of float
+        All others.
+    columns : dict of str to Column
+        Those that change with time and come near.
+    given : tuple of Given
+        How these are drawn.
+    reach : tuple of float
+        The least and the largest of their values that come near.
+    """
+
+    near: dict[float, str]
+    far: tuple[float, ...]
+    columns: dict[str, Column]
+    given: tuple[Given, ...]
+    reach: tuple[float, ...]
 
 
 def _limits(
     runs: _Runs, columns: dict[str, Column], variable: Variable, i: int, *, is_input: bool
-) -> tuple[dict[float, str], tuple[float, ...]]:
-    """Return the limits that can be shown without squeezing the samples, and whose; and all others."""
-    whose: dict[float, list[str]] = {}
+) -> _Limits:
+    """Return the limits of all controllers, those that are the same once."""
+    constant: dict[float, list[str]] = {}
+    moving: dict[tuple[float | None, ...], list[str]] = {}
     for key, trace in runs.traces.items():
-        ends = ("u_min", "u_max") if is_input else ("y_min", "y_max")
-        for limit in (float(getattr(trace.bounds, end)[i]) for end in ends):
-            if math.isfinite(limit):
-                shown = float(variable.shown_in.from_unit(np.array(limit)))
-                whose.setdefault(float(f"{shown:.{DIGITS}g}"), []).append(runs.labels[key])
-    drawn = [value for key in ("r", *runs.trusted) for value in known(columns.get(key, []))]
+        for side in _sides(trace, variable, i, is_input=is_input):
+            shown = rounded(np.atleast_1d(variable.shown_in.from_unit(side)))
+            if len({*shown}) > 1:
+                moving.setdefault(tuple(shown), []).append(runs.labels[key])
+            elif shown and shown[0] is not None:
+                constant.setdefault(shown[0], []).append(runs.labels[key])
+    drawn = [value for key in ("r", LOWER, UPPER, *runs.trusted) for value in known(columns.get(key, []))]
     low, high = min(drawn, default=math.nan), max(drawn, default=math.nan)
     margin = 0.25 * (high - low)
-    near = {
-        limit: "limit" if len(labels) == len(runs.traces) else f"limit of {', '.join(labels)}"
-        for limit, labels in whose.items()
-        if low - margin <= limit <= high + margin
-    }
-    return near, tuple(sorted(whose.keys() - near.keys()))
+
+    def words(labels: list[str]) -> str:
+        return "limit" if len(labels) == len(runs.traces) else f"limit of {', '.join(labels)}"
+
+    def comes_near(limit: float | None) -> bool:
+        return limit is not None and low - margin <= limit <= high + margin
+
+    near = {limit: words(labels) for limit, labels in constant.items() if comes_near(limit)}
+    over_time = {f"limit{n}": [*course] for n, course in enumerate(moving) if any(map(comes_near, course))}
+    beyond = [limit for course in moving if not any(map(comes_near, course)) for limit in known(course)]
+    reached = [limit for course in over_time.values() for limit in known(course) if comes_near(limit)]
+    return _Limits(
+        near,
+        tuple(sorted({*constant.keys() - near.keys(), *beyond})),
+        over_time,
+        tuple(
+            Given((f"limit{n}",), words(labels), "var(--limit)", (3, 3), scales=False)
+            for n, labels in enumerate(moving.values())
+            if f"limit{n}" in over_time
+        ),
+        (min(reached), max(reached)) if reached else (),
+    )
+
+
+def _sides(trace: Trace, variable: Variable, i: int, *, is_input: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and the upper limit of a signal in a run, over time if they change."""
+    if variable.name in trace.moving_limits:
+        limits = (trace.input_limits if is_input else trace.output_limits)[:, i]
+        return limits[:, 0], limits[:, 1]
+    bounds = trace.bounds
+    low, high = (bounds.u_min, bounds.u_max) if is_input else (bounds.y_min, bounds.y_max)
+    return low[i : i + 1], high[i : i + 1]
 
 
 def level_title(variable: Variable, unit: str) -> str:

@@ -5,17 +5,53 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median_low
+from typing import NamedTuple
 
 from ddpc_cosim import FloatArray
+from ddpc_reports.figures.clock import SECONDS, Clock
 
 DIGITS = 6
 """Significant digits of the samples in the page."""
+_TIME_DIGITS = 10
+"""Of times: a run may begin late in a year."""
+LOWER, UPPER = "lower", "upper"
+"""Columns of the edges between which an output is wanted."""
 BAND = "-band"
 """What follows the name of a signal's data in that of the data of its band."""
 _LEAST_OF_STEP, _USUAL_OF_STEP = 0.02, 0.1
 """Of the largest step: how far the axis of errors goes at least, and how far to show all that is settled."""
 
 Column = list[float | None]
+
+
+class Given(NamedTuple):
+    """What is drawn of a signal besides the controllers' lines: limits that change, weather, prices.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Its columns: one, or several that look alike.
+    label : str
+        What it is; empty: it is not read out.
+    colour : str
+        As in the page.
+    dashes : tuple of float
+        Of its lines; empty: solid.
+    width : float
+        Of its lines [px].
+    held : bool
+        Values hold until the next sample.
+    scales : bool
+        Whether its values set the range of the axis.
+    """
+
+    columns: tuple[str, ...]
+    label: str
+    colour: str = "var(--ink)"
+    dashes: tuple[float, ...] = ()
+    width: float = 1.0
+    held: bool = True
+    scales: bool = True
 
 
 @dataclass(frozen=True)
@@ -31,7 +67,9 @@ class Signal:
     unit : str
         Unit symbol.
     columns : dict
-        ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each controller.
+        ``t`` (in the clock's unit), ``r`` (the reference, if there is one) or ``lower`` and ``upper`` (the
+        edges of the band that is wanted), one column ``c<index>`` for each controller, and those of what is
+        given.
     scaled_by : tuple of str
         Columns of controllers that set the range of the axis.
     limits : dict of float to str
@@ -49,6 +87,12 @@ class Signal:
         Of errors: how large those outside the transients are, by column; it sets the range of the axis.
     step : float
         Of errors: the largest step of the reference.
+    clock : Clock
+        The unit of time.
+    given : tuple of Given
+        What is drawn besides the controllers' lines.
+    reach : tuple of float
+        Values of limits that change which the axis should show.
     """
 
     id: str
@@ -63,6 +107,9 @@ class Signal:
     band: dict[str, Column] = field(default_factory=dict)
     settled: dict[str, float] | None = None
     step: float = 0.0
+    clock: Clock = SECONDS
+    given: tuple[Given, ...] = ()
+    reach: tuple[float, ...] = ()
 
     @property
     def has_reference(self) -> bool:
@@ -70,8 +117,23 @@ class Signal:
         return "r" in self.columns
 
     @property
+    def has_band(self) -> bool:
+        """Whether it is wanted within a band, which is drawn."""
+        return LOWER in self.columns
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """The columns of the reference, or of the band's edges."""
+        return (LOWER, UPPER) if self.has_band else ("r",) if self.has_reference else ()
+
+    @property
+    def also_scaling(self) -> tuple[str, ...]:
+        """The columns besides those of controllers that set the range of the axis."""
+        return (*self.wanted, *(name for given in self.given if given.scales for name in given.columns))
+
+    @property
     def end(self) -> tuple[float, float]:
-        """First and last time [s]."""
+        """First and last time, in the clock's unit."""
         times = [value for value in self.columns["t"] if value is not None]
         if not times:
             return (0.0, 1.0)
@@ -89,18 +151,22 @@ class Signal:
             return self._extent_of_errors([self.settled[name] for name in scaling if name in self.scaled_by])
         if self.is_fixed:
             return self._extent_of_reference(scaling)
-        columns = [*scaling, *(["r"] if self.has_reference else [])]
-        shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
+        columns = [*scaling, *self.also_scaling]
+        shown = [
+            *self.limits,
+            *self.reach,
+            *(value for name in columns for value in known(self.columns[name])),
+        ]
         shown += [value for name in scaling for end in "lh" for value in known(self.band.get(name + end, []))]
         low, high = min(shown, default=0.0), max(shown, default=1.0)
-        room = 0.1 if self.limits else 0.05  # their words stand outside
+        room = 0.1 if self.limits or self.reach else 0.05  # their words stand outside
         margin = room * (high - low) or 0.1 * abs(high) or 1.0
         return (low - margin, high + margin)
 
     @property
     def is_fixed(self) -> bool:
         """Whether the range is not that of its values: of errors, and where none of the runs can set it."""
-        return self.settled is not None or (self.has_reference and not self.scaled_by)
+        return self.settled is not None or (bool(self.wanted) and not self.scaled_by)
 
     def _extent_of_errors(self, sizes: Sequence[float]) -> tuple[float, float]:
         """Show what is settled, but for those that are far worse: a hundredth of a step stays visible."""
@@ -112,7 +178,7 @@ class Signal:
     def _extent_of_reference(self, names: Sequence[str]) -> tuple[float, float]:
         """Show the reference, whence the runs begin, and as much again on both sides."""
         wanted = [
-            *known(self.columns["r"]),
+            *(value for name in self.wanted for value in known(self.columns[name])),
             *(value for name in names for value in known(self.columns[name])[:1]),
         ]
         low, high = min(wanted, default=0.0), max(wanted, default=1.0)
@@ -123,6 +189,11 @@ class Signal:
 def known(column: Sequence[float | None]) -> list[float]:
     """Return the values of a column that exist."""
     return [value for value in column if value is not None]
+
+
+def times(time: FloatArray, clock: Clock) -> Column:
+    """Return times [s], shape (K,), in a unit of time, as the page holds them."""
+    return rounded(time / clock.seconds, _TIME_DIGITS)
 
 
 def rounded(values: FloatArray, digits: int = DIGITS) -> Column:

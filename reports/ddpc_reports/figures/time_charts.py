@@ -5,7 +5,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from ddpc_reports.figures.charts import LABEL_ROOM, LABELS, Spec, colours_of, dashes_of, field, layer
-from ddpc_reports.figures.signal import BAND, Signal
+from ddpc_reports.figures.clock import Clock
+from ddpc_reports.figures.signal import BAND, LOWER, UPPER, Given, Signal
 
 WIDE, NARROW = 1000, 480
 """Widths of a drawing that has the page to itself, and of one beside others [px]."""
@@ -14,6 +15,7 @@ _LABELS_FROM = 22
 _LETTER, _ROW = 5.6, 14
 """Width of a letter of a mark's label, about, and height of a row of these [px]."""
 _MOST_LABEL_ROWS, _LEAST_LABEL = 3, 18
+_LONG_TIMES = "format(datum.value, '~f')"
 _VALUE_LABELS = (
     "datum.value !== 0 && (abs(datum.value) >= 1e5 || abs(datum.value) < 1e-3)"
     " ? replace(format(datum.value, '~e'), 'e+', 'e') : " + LABELS
@@ -42,31 +44,37 @@ def time_chart(
     signal : Signal
         What is drawn.
     names : sequence of str
-        Columns of the controllers in this panel, the one drawn first at the back.
+        Columns of the controllers in this panel, the one drawn first at the back; there may be none.
     sampling_time : float
-        Time between samples [s].
+        Time between samples [s]; the chart is in the unit of the signal's clock.
     marks : sequence of Mark
         What happens at an instant or during a span of time.
     size : tuple of int
         Width of the static drawing and height [px].
     """
+    clock = signal.clock
+    within = _within(clock.of(sampling_time))
+    marks = [mark._replace(begin=clock.of(mark.begin), end=clock.of(mark.end)) for mark in marks]
+    ticks = 8 if size[0] > NARROW else 6
     x = {
         **field("t", None),
         "scale": {"domain": list(signal.end), "domainRaw": {"expr": "span"}, "nice": False},
         "axis": {
-            "tickCount": 8 if size[0] > NARROW else 6,
+            **({"values": {"expr": _TICKS}} if clock.ticks else {"tickCount": ticks}),
             "grid": False,
-            "labelExpr": f"{LABELS} + '\u202fs'",
+            "labelExpr": f"{_LONG_TIMES if clock.ticks else LABELS} + '\u202f{clock.unit}'",
         },
     }
     layers = [
+        *(_wanted_band(signal, x, within) if signal.has_band else []),
         *_limits(signal),
         *_zero(signal),
         *_marks(label_rows(marks, signal.end, size[0]), x),
         _band(x),
         *_spread(signal, names, x),
-        *([_reference(signal, x, _within(sampling_time))] if signal.has_reference else []),
-        _lines(signal, names, x, _within(sampling_time)),
+        *([_reference(signal, x, within)] if signal.has_reference else []),
+        *(_given(signal, given, x, within) for given in signal.given),
+        *([_lines(signal, names, x, within)] if names else []),
         *_reading(signal, names, x),
     ]
     parameters = {"span": None, "band": None, "at": None, "hidden": [], "extent": list(signal.extent(names))}
@@ -74,8 +82,22 @@ def time_chart(
         "layer": layers,
         "width": size[0],
         "height": size[1],
-        "params": [{"name": name, "value": value} for name, value in parameters.items()],
+        "params": [
+            *({"name": name, "value": value} for name, value in parameters.items()),
+            *(_tick_parameters(clock, signal.end, ticks) if clock.ticks else []),
+        ],
     }
+
+
+_TICKS = "sequence(ceil(shown[0] / tick) * tick, shown[1] + tick / 1000, tick)"
+
+
+def _tick_parameters(clock: Clock, ends: tuple[float, float], most: int) -> list[Spec]:
+    """Return the time shown and the step of its ticks: of hours and days, those of ten suit nobody."""
+    shown = f"span || [{ends[0]:.10g}, {ends[1]:.10g}]"
+    choices = [f"shown[1] - shown[0] <= {most * step:g} ? {step:g} : " for step in clock.ticks]
+    tick = f"{''.join(choices)}{clock.ticks[-1]:g}"
+    return [{"name": "shown", "expr": shown}, {"name": "tick", "expr": tick}]
 
 
 def _within(spacing: float) -> Spec:
@@ -121,6 +143,30 @@ def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
 def _reference(signal: Signal, x: Spec, within: Spec) -> Spec:
     line = {"type": "line", "clip": True, "strokeWidth": 1, "interpolate": "step-after", "opacity": 0.75}
     return layer(line | {"color": "var(--ink)"}, {"x": x, "y": _y(signal, "r")}, signal.id, within)
+
+
+def _wanted_band(signal: Signal, x: Spec, within: Spec) -> list[Spec]:
+    """Fill between the edges that an output is wanted between, and draw them as thin lines."""
+    held = {"interpolate": "step-after", "clip": True, "color": "var(--ink)"}
+    edges = Given((LOWER, UPPER), "", width=0.8)
+    place = {"x": x, "y": _y(signal, LOWER), "y2": {"field": UPPER}}
+    fill = {"type": "area", "opacity": 0.09, **held}
+    return [layer(fill, place, signal.id, *_near(LOWER, UPPER), within), _given(signal, edges, x, within)]
+
+
+def _given(signal: Signal, given: Given, x: Spec, within: Spec) -> Spec:
+    """Draw the lines of what is not a controller's."""
+    line = {
+        "type": "line",
+        "clip": True,
+        "strokeWidth": given.width,
+        "color": given.colour,
+        "interpolate": "step-after" if given.held else "linear",
+        **({"strokeDash": list(given.dashes)} if given.dashes else {}),
+    }
+    place = {"x": x, "y": _y(signal), "detail": field("key", None, "nominal")}
+    columns = {"fold": list(given.columns), "as": ["key", "value"]}
+    return layer(line, place, signal.id, columns, {"filter": "isValid(datum.value)"}, *_near("value"), within)
 
 
 def _limits(signal: Signal) -> list[Spec]:
@@ -284,5 +330,5 @@ def _reading(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
     values = {"x": x, "y": _y(signal), "color": colours_of(names)}
     return [
         layer(rule, {"x": x}, signal.id, here),
-        layer(dots, values, signal.id, here, *_folded(names)),
+        *([layer(dots, values, signal.id, here, *_folded(names))] if names else []),
     ]

@@ -161,7 +161,7 @@ def _rows(reasons: Sequence[_Reason], kind: str, results: StudyResults, *, sampl
             Cell(integer(len(cases)), len(cases)),
             Cell(integer(events), events) if sampled else Cell(MISSING),
             Cell(case_words(first.case) if first else MISSING),
-            Cell(MISSING if not first or math.isnan(first.time) else _time_words(first.time)),
+            Cell(MISSING if not first or math.isnan(first.time) else _given_time(first.time)),
         )
         return Row(words, cells, group=kind)
 
@@ -177,5 +177,5 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _time_words(time: float) -> str:
+def _given_time(time: float) -> str:
     return with_unit(as_given(computed(time)), "s")

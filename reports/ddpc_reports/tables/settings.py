@@ -13,20 +13,26 @@ import numpy as np
 from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.disturbances import ForecastFile
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
+    BandSection,
     ControllerSection,
     LoopSection,
     PlantSection,
     RecordingChanges,
     RecordingSection,
     ScenarioSection,
+    Study,
 )
 from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, given_time, unit_symbol, with_unit
+
+_LONG = 600.0
+"""From how many seconds on times of signals are written as people say them."""
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:
@@ -228,7 +234,11 @@ def limits_texts(trace: Trace) -> list[str]:
     bounds = trace.bounds
     lows = [*bounds.u_min, *bounds.y_min]
     highs = [*bounds.u_max, *bounds.y_max]
-    return [_interval(*limits) for limits in zip(_bounded(trace), lows, highs, strict=True)]
+    return [
+        _interval(variable, low, high)
+        + (", changing over time" if variable.name in trace.moving_limits else "")
+        for variable, low, high in zip(_bounded(trace), lows, highs, strict=True)
+    ]
 
 
 def _interval(variable: Variable, low: float, high: float) -> str:
@@ -243,17 +253,11 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     study = results.study
     facts = [("study", study.name), *_plant_facts(study.plant, units), *_timing_facts(study.loop)]
     facts += [
-        (f"{what} of {name}", _signal(section, units.get(name, "")))
+        (f"{_wanted_as(section) or what} of {name}", _signal(section, units.get(name, "")))
         for what, sections in (("reference", study.reference), ("limits", study.bounds))
         for name, section in cast("Mapping[str, Any]", sections).items()
     ]
-    facts += [
-        (f"known disturbance {_plain(name)}", mapping_text(differing(disturbance)))
-        for name, disturbance in study.disturbances.items()
-    ]
-    facts += [
-        (f"price {_plain(name)}", mapping_text(differing(price))) for name, price in study.prices.items()
-    ]
+    facts += _outside_facts(study, units)
     facts += _recording_facts(study.recording, units) if study.recording else []
     facts += [
         (
@@ -276,6 +280,61 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     but = ", but for limits of their own" if own_limits else ""
     caption = f"The loop, the same for all controllers{but}"
     return facts_table(f"{prefix}loop", caption, facts, "loop.csv")
+
+
+def _wanted_as(section: Any) -> str:
+    return "band" if isinstance(section, BandSection) else ""
+
+
+def _outside_facts(study: Study, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Yield what acts from outside and is known, and what signals cost."""
+    for (name, section), known in zip(study.disturbances.items(), known_words(study), strict=True):
+        words = [f"{section.known}: {known.partition(': ')[2]}"]
+        words += [f"forecasts: {value_text(_short(section.forecast))}"] if section.forecast else []
+        words += [f"its course: {_signal(section.signal, units.get(name, ''))}"] if section.signal else []
+        yield f"known disturbance {_plain(name)}", "; ".join(words)
+    for name, price in study.prices.items():
+        factor = f"{as_given(price.factor)} · " if price.factor != 1.0 else ""
+        ahead = "known ahead" if price.known else "not known ahead"
+        paid = f"{_course(price.price, price.unit)} for {factor}{_plain(price.signal)}, {ahead}"
+        emitted = f"; emissions: {_course(price.emissions, price.emissions_unit)}" if price.emissions else ""
+        yield f"price {_plain(name)}", f"{paid}{emitted}"
+
+
+def _short(forecast: ForecastFile) -> dict[str, Any]:
+    """Return what is said of a file of forecasts; its folder is that of one machine."""
+    return {**differing(forecast), "file": Path(forecast.file).name}
+
+
+_KNOWN = {
+    "unknown": "controllers are told nothing of it",
+    "measured": "measured, and held ahead",
+    "low": "measured, and forecasts with low errors",
+    "medium": "measured, and forecasts with medium errors",
+    "high": "measured, and forecasts with high errors",
+    "perfect": "measured, and known ahead without errors",
+}
+
+
+def known_words(study: Study, scenario: str = "") -> list[str]:
+    """Return for each known disturbance what controllers are told of it; perhaps in a scenario."""
+    others = study.scenarios[scenario].known if scenario else {}
+    words = []
+    for name, section in study.disturbances.items():
+        known = _KNOWN[others.get(name, section.known)]
+        if section.forecast is not None and name not in others:
+            known = f"measured, and the forecasts of {Path(section.forecast.file).name}"
+        late = f", measured {section.lag} samples late" if section.lag else ""
+        words.append(f"{_plain(name)}: {known}{late}")
+    return words
+
+
+def _course(value: Any, unit: str) -> str:
+    """Write a number or a signal in a unit."""
+    symbol = unit_symbol(unit)
+    if isinstance(value, int | float):
+        return with_unit(as_given(value), symbol)
+    return f"{_written_signal(write(value))} (values in {symbol})"
 
 
 def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -316,7 +375,15 @@ def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
 
 def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     starts = {"rest": "from rest", "recording-end": "where the recording ended"}
-    said = {"sampling_time", "duration", "start", "start_time", "step_timeout"}
+    said = {
+        "sampling_time",
+        "duration",
+        "start",
+        "start_time",
+        "step_timeout",
+        "warm_up",
+        "warm_up_controller",
+    }
     seconds = {"start time": loop.start_time, "longest time for a call": loop.step_timeout}
     samples = f"{loop.steps} sample" if loop.steps == 1 else f"{loop.steps} samples"
     return [
@@ -324,8 +391,17 @@ def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
         ("duration", f"{given_time(loop.duration)}, {samples}"),
         ("start", starts.get(loop.start, loop.start)),
         *((name, given_time(value)) for name, value in seconds.items()),
+        *([("warm-up", _warm_up_words(loop))] if loop.warm_up else []),
         *((f"loop: {name}", text) for name, text in _others(loop, said)),
     ]
+
+
+def _warm_up_words(loop: LoopSection) -> str:
+    """Say how long a plant runs before it is judged, and under whom."""
+    under = "the plant's own control, or inputs at rest"
+    if section := loop.warm_up_controller:
+        under = section.type + (f" ({mapping_text(section.settings)})" if section.settings else "")
+    return f"{given_time(loop.warm_up)} before the start, not judged, under {under}"
 
 
 def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -344,7 +420,9 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
         (f"{name} in the recording", _signal(signal, units.get(name, "")))
         for name, signal in (*recording.inputs.items(), *recording.disturbances.items())
     ]
-    said = {"samples", "controller", "excitation", "inputs", "disturbances", "file"}
+    if recording.start_time is not None:
+        facts.append(("recording: start time", given_time(recording.start_time)))
+    said = {"samples", "controller", "excitation", "inputs", "file", "disturbances", "start_time"}
     others = _others(recording, said)
     return facts + [(f"recording: {name}", text) for name, text in others]
 
@@ -383,13 +461,39 @@ def _signal(section: Any, own_unit: str) -> str:
     values = _without(write(section), {"kind", "unit"})
     if "file" in values:  # the folder is that of one machine
         values["file"] = Path(values["file"]).name
-    given = {key.replace("_", " "): value for key, value in values.items() if value != ""}
-    words = ", ".join(f"{key} {value_text(value)}" for key, value in given.items())
+    values = values.get("band", values)
+    words = _entries_of(values)
     kind = f"{section.kind}: " if hasattr(section, "kind") else ""
     unit = unit_symbol(section.unit) or section.unit
     whose_unit = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")
     whose_unit = "the unit of the column, else its own" if "file" in values else whose_unit
     return f"{kind}{words or 'none'} (values in {unit or whose_unit})"
+
+
+_TIMES = {"times", "start_time", "from_time", "to_time", "period", "hold"}
+"""Keys of signals that are times."""
+
+
+def _entries_of(values: Mapping[str, Any]) -> str:
+    """Write the values of a signal by their names, times of long runs as people say them."""
+    given = {key: value for key, value in values.items() if value != "" and (key, value) != ("period", 0)}
+    return ", ".join(f"{key.replace('_', ' ')} {_entry_text(key, value)}" for key, value in given.items())
+
+
+def _entry_text(key: str, value: Any) -> str:
+    if key in _TIMES and np.max(np.abs(value), initial=0.0) >= _LONG:
+        return f"[{', '.join(map(given_time, value))}]" if isinstance(value, list) else given_time(value)
+    if isinstance(value, Mapping) and "kind" in value:
+        return _written_signal(value)
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return f"[{', '.join(map(_written_signal, value))}]"
+    return value_text(value)
+
+
+def _written_signal(table: Mapping[str, Any]) -> str:
+    """Write a signal that stands within another table."""
+    unit = f", in {unit_symbol(table['unit']) or table['unit']}" if table.get("unit") else ""
+    return f"{table['kind']} ({_entries_of(_without(table, {'kind', 'unit'}))}{unit})"
 
 
 @dataclass(frozen=True)
@@ -403,7 +507,7 @@ class Effect:
 def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list[Effect]:
     """Return all that a scenario changes, in the order of a study file."""
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
-    said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs"}
+    said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs", "known", "prices"}
     said |= {"label", "bounds", "recording", *section.effects}
     return [
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
@@ -421,6 +525,8 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
             _signal_effect(f"input {_plain(name)}", signal, units.get(name, ""), first=1)
             for name, signal in section.inputs.items()
         ),
+        *(Effect(f"{_plain(name)}: {_KNOWN[known]}") for name, known in section.known.items()),
+        *(Effect(f"price of {_plain(name)}: {_price_text(p)}") for name, p in section.prices.items()),
         *(
             Effect(f"limits of {_plain(name)}: {_signal(bounds, units.get(name, ''))}")
             for name, bounds in section.bounds.items()
@@ -441,6 +547,11 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
         *(Effect(f"{name}: {text}") for name, text in _others(section, said)),
         *([Effect(_recording_text(section.recording))] if section.recording else []),
     ]
+
+
+def _price_text(price: Any) -> str:
+    """Write a price in place of the study's, whose unit it has."""
+    return as_given(price) if isinstance(price, int | float) else _written_signal(write(price))
 
 
 def _in_unit(value: float, unit: str) -> str:

@@ -67,10 +67,13 @@
     return time - times[low] <= times[high] - time ? low : high;
   }
 
-  function written(value, unit) {
+  // Times have more digits where their unit is so large that the time between samples would be lost.
+  const moment = (chart, time) => written(time, chart.time, chart.time === "s" ? 4 : 6);
+
+  function written(value, unit, digits = 4) {
     if (value === null || value === undefined) return "–";
     const size = Math.abs(value);
-    const text = value !== 0 && (size < 1e-4 || size >= 1e6) ? value.toExponential(3) : Number(value.toPrecision(4)).toString();
+    const text = value !== 0 && (size < 1e-4 || size >= 1e6) ? value.toExponential(3) : Number(value.toPrecision(digits)).toString();
     return text.replace(/-/g, "−") + (unit === "°" ? "°" : unit ? "\u00a0" + unit : "");
   }
 
@@ -111,7 +114,7 @@
     if (asked && !(asked[1] - asked[0] >= least)) return;
     spans[chart.group] = asked;
     update();
-    announce(asked ? `${written(asked[0], "s")} to ${written(asked[1], "s")}` : "the whole time");
+    announce(asked ? `${moment(chart, asked[0])} to ${moment(chart, asked[1])}` : "the whole time");
   }
 
   // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
@@ -130,7 +133,7 @@
         for (const column of drawn) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
       });
     }
-    collect(columnsOf(chart.data), [...names, "r"]);
+    collect(columnsOf(chart.data), [...names, "r", ...chart.also]);
     if (page.data[bandOf(chart.data)]) collect(columnsOf(bandOf(chart.data)), names.flatMap((name) => [name + "l", name + "h"]));
     const low = values.reduce((a, b) => Math.min(a, b), Infinity);
     const high = values.reduce((a, b) => Math.max(a, b), -Infinity);
@@ -161,8 +164,9 @@
     const data = columnsOf(chart.data);
     const note = chart.reading;
     chart.index = index;
-    note.replaceChildren(element("b", "", "t = " + written(data.t[index], "s")));
+    note.replaceChildren(element("b", "", "t = " + moment(chart, data.t[index])));
     if (data.r) line(note, "var(--ink)", "reference", written(data.r[index], chart.unit));
+    for (const [name, [label, paint]] of Object.entries(chart.given)) line(note, paint, label, written(data[name][index], chart.unit));
     for (const name of visible(Object.keys(chart.lines))) line(note, colour(name), chart.lines[name], written(data[name][index], chart.unit));
     note.hidden = false;
     place(chart, scaleOf(chart) * (chart.view.origin()[0] + chart.view.scale("x")(data.t[index])), 8);

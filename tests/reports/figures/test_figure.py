@@ -278,11 +278,11 @@ def test_what_a_scenario_does_is_marked_with_its_label_and_told_in_words(make_re
         }
         assert spans == {(1.0, 2.0), (2.5, 99.0)}
     for words in (
-        "takes a while: at 1 s: mass = 0.5;",
-        "damping from 1 to 0.5 between 1 s and 2 s",
+        "takes a while: at 1\N{NO-BREAK SPACE}s: mass = 0.5;",
+        "damping from 1 to 0.5 between 1\N{NO-BREAK SPACE}s and 2\N{NO-BREAK SPACE}s",
         "disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
         "input wind: steps: times [0, 2], values [1, 2] (values in m/s)",
-        "Throughout: at 0 s: mass = 0.7; disturbance of torque: noise: standard deviation 0.1, mean 0",
+        "Throughout: at 0\N{NO-BREAK SPACE}s: mass = 0.7; disturbance of torque: noise: standard deviation",
         "delay of torque 0.2\N{NO-BREAK SPACE}s; samples of angle lost with a probability of 0.05.",
     ):
         assert words in rough[0].caption

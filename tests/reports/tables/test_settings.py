@@ -50,6 +50,7 @@ CONTENT: dict[str, Any] = {
         "nominal": {"angle": 0.5},
         "fmi_type": "co-simulation",
         "isolated": True,
+        "switches": {"torque": "torque_on"},
         "parts": [
             {"name": "motor", "plant": "drive", "step": 0.01, "parameters": {"gain": 2.0}},
             {
@@ -229,6 +230,28 @@ CONTENT: dict[str, Any] = {
                         "time_column": "t",
                         "interpolation": "linear",
                         "unit": "deg",
+                    },
+                    {
+                        "kind": "sum",
+                        "unit": "deg",
+                        "parts": [
+                            {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "period": 3.0},
+                            {
+                                "kind": "random",
+                                "low": 1.0,
+                                "high": 2.0,
+                                "hold": 0.5,
+                                "interpolation": "linear",
+                                "unit": "deg",
+                            },
+                        ],
+                    },
+                    {
+                        "kind": "product",
+                        "unit": "deg",
+                        "parts": [
+                            {"kind": "interpolated", "times": [0.0, 2.0], "values": [1.0, 1.0], "period": 3.0}
+                        ],
                     },
                 ]
             },
@@ -509,7 +532,10 @@ def test_a_scenario_that_only_drifts_says_so(make_results: MakeResults) -> None:
     results = make_results(scenarios={"constant": {}, "slow": {"label": "Slow drift", "drifts": [drift]}})
     rows = loop_rows(results)
     assert rows["scenario constant"] == "nothing changed"
-    assert rows["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
+    assert (
+        rows["scenario Slow drift (slow)"]
+        == "mass from 1 to 0.5 between 5\N{NO-BREAK SPACE}s and 65\N{NO-BREAK SPACE}s"
+    )
 
 
 def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResults) -> None:

@@ -1,0 +1,248 @@
+"""What measuring and forecasting a disturbance is worth: errors with it over the best without it.
+
+Every method is tuned anew for what is known, by the same random trials on two seeds, and judged by the median
+of its mean absolute error over twenty others. Without the disturbance it is the better of two: recorded with
+the disturbance at rest, and recorded with it moving. It is random, in the recording and in the run.
+
+    python -m benchmarks.knowing building column drive steps --trials 24
+"""
+
+import argparse
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ddpc_controllers import MPC, SPC, DeePC
+from ddpc_cosim import (
+    Constant,
+    Controller,
+    Interpolated,
+    KnownDisturbance,
+    Problem,
+    Product,
+    RandomLevels,
+    Reference,
+    Sine,
+    Steps,
+    Study,
+    Sum,
+    UniformRandom,
+)
+
+HOUR, DAY = 3600.0, 86400.0
+MODES = ("at rest", "moving", "measured", "medium", "perfect")
+WITHOUT = MODES[:2]
+CONSTANT = {"measured": 0.70, "medium": 0.75, "perfect": 0.70}
+"""What may be left at a constant reference."""
+OF_STEPS = {"building": 0.90, "column": 0.75, "drive": 0.75}
+"""What may be left at the references of the benchmark, whatever is known."""
+FORESEEN, ELSEWHERE = 0.90, 1.10
+"""A perfect forecast over what is measured: of a load that comes in steps, and of others."""
+TUNED_ON, JUDGED_ON = range(100, 102), range(20)
+
+
+class Task(NamedTuple):
+    """A plant at a constant reference, the references of the benchmark, and what disturbs it."""
+
+    keywords: Mapping[str, Any]
+    steps: Mapping[str, Reference]
+    samples: int
+    disturbances: Mapping[str, Reference]
+    rest: Mapping[str, Reference]
+
+
+def _from(start: float, times: Sequence[float], values: Sequence[float], unit: str = "") -> Steps:
+    return Steps([start + time for time in times], values, unit=unit)
+
+
+def _weather() -> dict[str, Reference]:
+    clear = [0.0, 0.0, 90.0, 200.0, 290.0, 340.0, 340.0, 290.0, 200.0, 90.0, 0.0]
+    hours = [0.0, *(HOUR * hour for hour in range(8, 18))]
+    swing = Sine(4.0, 1 / DAY, phase=-2.356)
+    slow = RandomLevels(-3.0, 3.0, DAY / 2, interpolation="linear")
+    clouds = RandomLevels(0.2, 1.0, 0.75 * HOUR, interpolation="linear")
+    return {
+        "outdoor_temperature": Sum([swing, slow], unit="degC"),
+        "solar_irradiance": Product([Interpolated(hours, clear, period=DAY), clouds]),
+    }
+
+
+def _building() -> Task:
+    keywords = {
+        "plant": "building",
+        "inputs": ["heating_power"],
+        "outputs": ["indoor_temperature"],
+        "nominal": {"indoor_temperature": 1.0, "outdoor_temperature": 5.0},
+        "sampling_time": 900.0,
+        "start_time": 7 * DAY,
+        "reference": {"indoor_temperature": Constant(20.0, unit="degC")},
+        "bounds": {"heating_power": (0.0, 8000.0)},
+        "excitation": UniformRandom(1500.0, 6000.0, 288),
+    }
+    steps = _from(7 * DAY, (0.0, 6 * HOUR, 20 * HOUR), (19.0, 21.0, 19.0), "degC")
+    rest = {
+        "outdoor_temperature": Constant(0.0, unit="degC"),
+        "solar_irradiance": Constant(0.0),
+    }
+    return Task(keywords, {"indoor_temperature": steps}, 288, _weather(), rest)
+
+
+def _column() -> Task:
+    keywords = {
+        "plant": "distillation-column",
+        "inputs": ["reflux", "steam"],
+        "outputs": ["distillate", "bottoms"],
+        "sampling_time": 120.0,
+        "start_time": 36000.0,
+        "reference": {"distillate": Constant(96.25), "bottoms": Constant(0.5)},
+        "bounds": {"reflux": (1.6, 2.3), "steam": (1.4, 2.0)},
+        "excitation": UniformRandom([1.85, 1.61], [2.05, 1.81], 150),
+    }
+    steps = {
+        "distillate": _from(36000.0, (0.0, 600.0), (96.25, 97.0)),
+        "bottoms": _from(36000.0, (0.0, 6000.0), (0.5, 1.0)),
+    }
+    feed = RandomLevels(2.25, 2.65, 120.0)
+    return Task(keywords, steps, 150, {"feed": feed}, {"feed": Constant(2.45)})
+
+
+def _drive(load: Reference) -> Task:
+    keywords = {
+        "plant": "two-mass-drive",
+        "inputs": ["motor_torque"],
+        "outputs": ["load_speed"],
+        "sampling_time": 0.02,
+        "start_time": 10.0,
+        "reference": {"load_speed": Constant(0.0)},
+        "bounds": {"motor_torque": (-5.0, 5.0)},
+        "excitation": UniformRandom(-2.0, 2.0, 120),
+    }
+    steps = _from(10.0, (0.0, 0.2, 0.8, 1.4), (0.0, 10.0, 5.0, 15.0))
+    return Task(keywords, {"load_speed": steps}, 120, {"load_torque": load}, {"load_torque": Constant(0.0)})
+
+
+TASKS = {
+    "building": _building(),
+    "column": _column(),
+    "drive": _drive(RandomLevels(-0.5, 0.5, 0.02)),
+    "steps": _drive(RandomLevels(-2.0, 2.0, 0.4)),
+}
+
+
+def trials(count: int) -> dict[str, list[Controller]]:
+    """Return the settings that every method is tried with, the same for all that is known."""
+    rng = np.random.default_rng(1)
+
+    def log(low: float, high: float) -> float:
+        return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
+
+    drawn: dict[str, list[Controller]] = {"DeePC": [], "SPC": [], "MPC": []}
+    for _ in range(count):
+        windows: dict[str, Any] = {
+            "horizon": int(rng.integers(3, 25)),
+            "initial_length": int(rng.integers(1, 13)),
+            "input_weight": log(1e-7, 10.0),
+            "artificial_setpoint": bool(rng.integers(2)),
+        }
+        regulariser: Any = str(rng.choice(["ridge", "projection"]))
+        more = {"lambda_g": log(1e-4, 1e5), "affine_sum": "all", "use_current_output": True}
+        drawn["DeePC"].append(DeePC(regulariser=regulariser, **more, **windows))
+        drawn["SPC"].append(SPC(**windows))
+        drawn["MPC"].append(
+            MPC(
+                horizon=int(rng.integers(3, 30)),
+                input_weight=log(1e-7, 10.0),
+                measurement_noise=log(1e-4, 1e3),
+                disturbance_noise=log(1e-3, 1e3),
+                disturbance="output" if rng.integers(2) else "input",
+            )
+        )
+    return drawn
+
+
+def errors(
+    task: Task,
+    mode: str,
+    of_steps: bool,
+    controllers: Mapping[str, Controller],
+    seeds: Sequence[int],
+    jobs: int,
+) -> dict[str, float]:
+    """Return the median of each controller's mean absolute errors, added up over the outputs."""
+    known: Any = "unknown" if mode in WITHOUT else mode
+    keywords = dict(task.keywords)
+    if of_steps:
+        keywords["reference"] = task.steps
+    problem = Problem(
+        **keywords,
+        duration=task.samples * keywords["sampling_time"],
+        disturbances={
+            name: KnownDisturbance(signal=signal, known=known) for name, signal in task.disturbances.items()
+        },
+        recorded_disturbances=task.rest if mode == "at rest" else {},
+    )
+    study = Study(problem, dict(controllers), seeds=seeds, name="knowing")
+    with tempfile.TemporaryDirectory() as folder:
+        results = study.run(Path(folder), jobs=jobs, progress=False)
+        found: dict[str, list[float]] = {}
+        for case in results.cases:
+            figures = [value for key, value in case.metrics.items() if key.startswith("mean_abs_error")]
+            complete = case.outcome == "completed" and np.isfinite(figures).all()
+            found.setdefault(case.label, []).append(float(np.sum(figures)) if complete else np.inf)
+    return {label: float(np.median(values)) for label, values in found.items()}
+
+
+def judged(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict[str, float]:
+    """Return the error of each method with its best settings, in units of the outputs."""
+    tried = {
+        f"{method} {number}": controller
+        for method, controllers in trials(count).items()
+        for number, controller in enumerate(controllers)
+    }
+    figures = errors(task, mode, of_steps, tried, TUNED_ON, jobs)
+    best = {
+        method: min((label for label in tried if label.startswith(f"{method} ")), key=figures.__getitem__)
+        for method in ("DeePC", "SPC", "MPC")
+    }
+    chosen = {method: tried[label] for method, label in best.items()}
+    return errors(task, mode, of_steps, chosen, JUDGED_ON, jobs)
+
+
+def limits_of(name: str, of_steps: bool) -> dict[str, float]:
+    """Return what may be left in each mode, and how much of what is left when measuring a forecast leaves."""
+    left = dict.fromkeys(CONSTANT, OF_STEPS.get(name, 1.0)) if of_steps else CONSTANT
+    return {**left, "perfect over measured": FORESEEN if name == "steps" else ELSEWHERE}
+
+
+def main() -> int:
+    """Print errors with the disturbance over the best without it; return how many are beyond their limit."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("tasks", nargs="*", default=[*TASKS])
+    parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--references", action="store_true", help="those of the benchmark, not constant ones")
+    given = parser.parse_args()
+    beyond = 0
+    for name in given.tasks:
+        by_mode = {
+            mode: judged(TASKS[name], mode, given.references, given.trials, given.jobs) for mode in MODES
+        }
+        limits = limits_of(name, given.references)
+        for method, measured in by_mode["measured"].items():
+            without = min(by_mode[mode][method] for mode in WITHOUT)
+            ratios = {mode: by_mode[mode][method] / without for mode in MODES}
+            ratios["perfect over measured"] = by_mode["perfect"][method] / measured
+            too_much = [mode for mode, limit in limits.items() if not ratios[mode] <= limit]
+            beyond += len(too_much)
+            words = ", ".join(f"{mode} {ratio:.3f}" for mode, ratio in ratios.items())
+            print(
+                f"{name}, {method}: {words}; without {without:.4g}; beyond: {too_much or 'none'}", flush=True
+            )
+    return beyond
+
+
+if __name__ == "__main__":
+    raise SystemExit(main() > 0)
