@@ -40,7 +40,7 @@ from .excitations import (
     SignalExcitation as SignalExcitation,
     UniformRandom as UniformRandom,
 )
-from .exporting import export_controller as export_controller
+from .exporting import export_controller as export_controller, further_signals as further_signals
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
 from .master import cosimulate as cosimulate, record as record

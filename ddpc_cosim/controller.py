@@ -406,18 +406,10 @@ class ControllerCode:
         ``state->iterations`` and ``state->active_bounds`` are what the optimisation needed and met.
     statuses : mapping of int to str
         What each of these powers of two says.
-    follows : bool
-        Whether ``controller.h`` also defines ``CONTROLLER_FOLLOWS`` and declares ::
-
-            void controller_follow(
-                ControllerState *state, const double y[], const double r[], const double u[]);
-
-        which takes a sample at which another controller applied ``u``: the hand-over of :attr:`Loop.past`.
     """
 
     sources: Mapping[str, str]
     statuses: Mapping[int, str]
-    follows: bool = False
 
 
 def further_arguments(loop: Loop, horizon: int) -> dict[str, tuple[int, ...]]:

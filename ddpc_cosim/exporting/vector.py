@@ -6,13 +6,15 @@ start, within which they cannot.
 """
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ddpc_cosim.controller import OK, Controller, Loop, Sample
+from ddpc_cosim.controller import OK, Controller, Loop, Sample, further_arguments
 from ddpc_cosim.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
 from ddpc_cosim.tables import write_rows
 from ddpc_cosim.trace import Trace
@@ -57,16 +59,45 @@ def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[
             start_controller(controller, replace(loop, rng=deepcopy(loop.rng)))
             horizon = horizon_of(controller)
             preview = min(loop.preview, horizon)
-        ahead = np.minimum(np.arange(1, horizon + 1), preview) + k
-        wanted = trace.reference[np.minimum(ahead, len(trace) - 1)]
+            further = further_arguments(loop, horizon)
+        ahead = np.arange(horizon + 1)
+        rows, known = (np.minimum(k + ks, len(trace) - 1) for ks in (ahead, np.minimum(ahead, preview)))
+        wanted = trace.reference[known[1:]]
         i = k % _FROM_A_START
         sample = Sample(
-            i, i * loop.sampling_time, seen[k], trace.measured[k].copy(), wanted, trace.reference[k].copy()
+            i,
+            i * loop.sampling_time,
+            seen[k],
+            trace.measured[k].copy(),
+            wanted,
+            trace.reference[k].copy(),
+            **_ahead(trace, rows, known, further),
         )
-        decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), loop.bounds)
+        bounds = loop.bounds
+        if loop.moving_limits:
+            bounds = replace(bounds, u_min=trace.input_limits[k, :, 0], u_max=trace.input_limits[k, :, 1])
+        decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), bounds)
         y = [*seen[k].tolist(), *trace.measured[k][others].tolist()]
         r = [*trace.reference[k].tolist(), *wanted[:preview].ravel().tolist()]
+        for name, shape in further.items():
+            r += getattr(sample, name)[: shape[0]].ravel().tolist()
         yield [int(begins), *y, *r, *decision.u.tolist(), int(decision.status != OK)]
+
+
+def _ahead(
+    trace: Trace, rows: NDArray[np.intp], known: NDArray[np.intp], further: Mapping[str, tuple[int, ...]]
+) -> dict[str, Any]:
+    """Return what a sample says besides: at rows, or as far as the reference is known. No forecast errs."""
+    fields = {
+        "disturbance": (trace.d, rows[0]),
+        "forecast": (trace.d, rows[1:]),
+        "band_now": (trace.band, rows[0]),
+        "band": (trace.band, known[1:]),
+        "price": (trace.price, rows),
+        "input_limits": (trace.input_limits, known),
+        "output_limits": (trace.output_limits, known[1:]),
+    }
+    return {name: fields[name][0][fields[name][1]] for name in further}
 
 
 def _measured(loop: Loop, trace: Trace) -> tuple[FloatArray, list[int]]:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from importlib.metadata import version
-from math import inf, isinf
+from math import inf, isinf, isnan
 from xml.etree import ElementTree as ET
 
 from fmu_plants.model import TIME, Parameter, PlantModel, Variable, derivative_name
@@ -111,6 +111,8 @@ def c_number(value: float) -> str:
     """Return a number as C spells it."""
     if value in (inf, -inf):
         return "INFINITY" if value > 0 else "-INFINITY"
+    if isnan(value):
+        return "NAN"
     return repr(float(value))
 
 
@@ -347,7 +349,7 @@ def _values(scalar: Scalar) -> dict[str, str]:
     if variable.nominal != 1.0:
         attributes["nominal"] = repr(float(variable.nominal))
     if scalar.kind in _WITH_START:
-        attributes["start"] = repr(float(variable.start))
+        attributes["start"] = "NaN" if isnan(variable.start) else repr(float(variable.start))
     return attributes
 
 

@@ -10,7 +10,9 @@ from ddpc_controllers import (
     MFAPC,
     NMPC,
     PID,
+    SPC,
     WKPC,
+    BandEdge,
     Decentralised,
     DeePC,
     FMUController,
@@ -49,6 +51,7 @@ def exported() -> str:
 
 
 WRAPPERS: dict[str, Callable[[], Controller]] = {
+    "band-edge": lambda: BandEdge(controller=SPC()),
     "decentralised": two_loops,
     "fmu": lambda: FMUController(file=exported()),
     "nmpc": lambda: NMPC(model=f"{plant_models.__name__}:REFERENCE", horizon=5),

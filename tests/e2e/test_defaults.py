@@ -27,6 +27,7 @@ SETTLED = 0.1
 
 BY_HAND = "its gains are the user's, in the units of the plant"
 REASONS: dict[str, str] = {
+    "band-edge": "it is about another controller",
     "cascade": "its inner i-PID has to be told how strongly the inputs act: alpha, kp",
     "decentralised": "which signals belong together is the user's to say",
     "deepc-published": "it is what the authors' program does, whose ridge pulls every output to zero",

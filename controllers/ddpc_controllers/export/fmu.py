@@ -11,7 +11,7 @@ import zipfile
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +32,8 @@ from ddpc_cosim import (
     Sample,
     Variable,
     check_settings,
+    further_arguments,
+    further_signals,
     setting,
 )
 from ddpc_cosim.texts import printable
@@ -40,8 +42,12 @@ if TYPE_CHECKING:  # what runs FMUs is imported where there is one
     from ddpc_cosim import FMUPlant
 
 _RESOURCE = "resources/controller.json"
-_AHEAD = re.compile(r"reference\.(?P<name>.+)\[(?P<k>[1-9]\d*)\]")
+_AHEAD = re.compile(
+    r"(?P<kind>reference|forecast|lower|upper|price|min|max)\.(?P<name>.+)\[(?P<k>[1-9]\d*)\]"
+)
 _WHOLE = 1e-6
+_NONE = 1e30
+"""How far off an edge or a limit is that there is not, for an FMU."""
 _ROUNDING = 1e-9
 _CLIPPED = "an input beyond the bounds of this loop, clipped"
 
@@ -51,8 +57,10 @@ class FMUController(Controller):
     """A controller that is an FMU.
 
     Its inputs get the loop's signals: controlled outputs and measurements by name, ``setpoint.NAME`` (the
-    reference now) and ``reference.NAME[k]`` (that in k samples). Its outputs called as the plant's inputs are
-    the control signal, those beside them are recorded as information. Units are converted where both sides
+    reference now), ``reference.NAME[k]`` (that in k samples), and as :func:`ddpc_cosim.further_signals` names
+    them disturbances, forecasts, edges of bands, prices and limits that move, where the loop has such. Its
+    outputs called as the plant's inputs are the control signal, those beside them are recorded as
+    information. Units are converted where both sides
     have one. An FMU that was exported from here is told missing measurements as NaN, and says in words why
     its answer is a fallback.
     """
@@ -121,7 +129,12 @@ class FMUController(Controller):
         self._others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
         measured = [*loop.outputs, *(loop.measurements[i] for i in self._others)]
         # The loop's signals side by side: what is measured, then the references of one sample after another.
-        signals = [*measured, *(1 + self.horizon) * loop.outputs]
+        whole = replace(loop, preview=self.horizon)
+        self._further = further_arguments(whole, self.horizon)
+        further = further_signals(whole, self.horizon)
+        first = len(measured) + (1 + self.horizon) * len(controlled)
+        of_further = {variable.name: first + i for i, variable in enumerate(further)}
+        signals = [*measured, *(1 + self.horizon) * loop.outputs, *further]
         wanted, faults = dict[str, Variable](), list[str]()
         places, self._constants = list[int](), list[float]()
         for name in self._inputs:
@@ -129,7 +142,7 @@ class FMUController(Controller):
             if not isinstance(signal, str):
                 places.append(len(signals) + len(self._constants))
                 self._constants.append(float(signal))
-            elif (place := _place(signal, measured, controlled)) is not None:
+            elif (place := of_further.get(signal, _place(signal, measured, controlled))) is not None:
                 places.append(place)
                 wanted[name] = signals[place]
             else:
@@ -169,7 +182,9 @@ class FMUController(Controller):
 
     def step(self, sample: Sample) -> Action:
         """Return the FMU's outputs after a step with this sample's inputs, shape (m,)."""
-        parts = (sample.y, sample.measured[self._others], sample.setpoint, sample.reference.ravel())
+        parts = [sample.y, sample.measured[self._others], sample.setpoint, sample.reference.ravel()]
+        for name, shape in self._further.items():
+            parts.append(np.clip(getattr(sample, name)[: shape[0]].ravel(), -_NONE, _NONE))
         inputs = np.concatenate((*parts, self._constants))[self._places]
         if self._converts:
             inputs = (inputs - self._to[1]) / self._to[0]
@@ -264,6 +279,8 @@ def _place(signal: str, measured: Sequence[Variable], controlled: Sequence[str])
     if signal in names:
         return names.index(signal)
     ahead = _AHEAD.fullmatch(signal)
+    if ahead and ahead["kind"] != "reference":
+        return None
     name, k = (ahead["name"], int(ahead["k"])) if ahead else (signal.removeprefix("setpoint."), 0)
     if name not in controlled or name == signal:
         return None

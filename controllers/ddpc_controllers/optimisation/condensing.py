@@ -43,6 +43,7 @@ _EQUALITY_TOLERANCE = 1e-10
 """An equality that others repeat to within this fraction is redundant."""
 
 _INSIGNIFICANT = 1e-12
+_ROUNDING_COSTS = 1e-8
 _SAME_DIRECTION = 1e-14
 
 
@@ -189,6 +190,8 @@ class ReducedProblem:
         What is paid for at each of them.
     advice : str
         What keeps the optimum determined, where that is not plain.
+    of_past : array of bool, shape (rank,)
+        Coordinates v that only add to rows above the first block that is weighed by itself: what is given.
     """
 
     residual: FloatArray
@@ -204,6 +207,7 @@ class ReducedProblem:
     amount_gain: FloatArray
     amount_law: FloatArray
     advice: str
+    of_past: NDArray[np.bool_]
 
     @property
     def slope(self) -> FloatArray:
@@ -230,9 +234,13 @@ class ReducedProblem:
             (self.prices, self.amount_law + self.amount_gain @ law) if len(self.prices) else None,
         )
 
-    def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ``w = law p + gain t`` such that the cost is |t|^2 and |cost_law p|^2, and that law."""
+    def _unconstrained_optimum(self, least: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return ``w = law p + gain t`` such that the cost is |t|^2 and |cost_law p|^2, and that law.
+
+        ``least`` is the root of the weight of what only adds to the past.
+        """
         roots = [np.sqrt(cost.weights)[:, np.newaxis] for cost in self.g_costs]
+        roots[0][self.of_past] = np.maximum(roots[0][self.of_past], least)
         residual = np.vstack(
             [self.residual, *(root * v.gain for root, v in zip(roots, self.g_costs, strict=True))]
         )
@@ -250,6 +258,9 @@ class ReducedProblem:
         diagonal = np.abs(np.diag(triangular))
         if len(triangular) < size or diagonal.min() <= _INSIGNIFICANT * diagonal.max():
             ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
+            if not least and self.of_past.any():
+                # Data without noise: some of their past is rounding alone, and no condition fixes it.
+                return self._unconstrained_optimum(_ROUNDING_COSTS * float(diagonal.max()))
             raise ConfigError(
                 f"the weights leave the optimum undetermined ({size} directions, the weakest with "
                 f"{ratio:.1e} of the strongest's root of a curvature): make them positive and alike in "
@@ -322,6 +333,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         amount_gain=amounts @ null_space,
         amount_law=amounts @ particular,
         advice=problem.advice,
+        of_past=(factor.blocks == 0) & (factor.weights == 0.0),
     )
 
 

@@ -336,7 +336,14 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
     return _chart_of_rows(rows, layers, 260)
 
 
-def trade_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bool, width: int) -> Spec:
+def trade_chart(
+    rows: list[dict[str, Any]],
+    titles: Sequence[str],
+    values_of: Sequence[Sequence[float]],
+    *,
+    joined: bool,
+    width: int,
+) -> Spec:
     """Return controllers over what they cost and what they leave, their seeds faint behind them.
 
     Parameters
@@ -347,14 +354,16 @@ def trade_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
         (bool: a reference point, which is labelled).
     titles : sequence of str
         What the axes are.
+    values_of : sequence of sequence of float
+        What both axes have room for: the values of all charts that are to be compared.
     joined : bool
         Whether a line joins the front.
     width : int
         Of the static drawing [px].
     """
     x, y = (
-        field(side, title) | _axis_of([row[side] for row in rows], title)
-        for side, title in zip("xy", titles, strict=True)
+        field(side, title) | _axis_of(values, title, _with_margin(values))
+        for side, title, values in zip("xy", titles, values_of, strict=True)
     )
     names = list(dict.fromkeys(row["key"] for row in rows))
     place, hue = {"x": x, "y": y}, colours_of(names)
@@ -393,10 +402,18 @@ def ranges_widely(values: Sequence[float]) -> bool:
     return min(values) > 0 and max(values) > _LOGARITHMIC_FROM * min(values)
 
 
-def _axis_of(values: Sequence[float], title: str) -> Spec:
+def _axis_of(values: Sequence[float], title: str, domain: Sequence[float] = ()) -> Spec:
     if ranges_widely(values):
         return _logarithmic(values, _GROUPED, title)
-    return {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+    scale = {"zero": False, "nice": True} | ({"domain": list(domain)} if domain else {})
+    return {"scale": scale, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+
+
+def _with_margin(values: Sequence[float]) -> tuple[float, float]:
+    """Return a range in which marks do not lie on its ends; of what is never negative it begins at 0."""
+    low, high = min(values), max(values)
+    margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return (low - margin if low < 0 or low > margin else 0.0, high + margin)
 
 
 def _rows(rows: list[dict[str, Any]]) -> tuple[list[str], Spec, Spec]:

@@ -35,11 +35,14 @@ def trade_figure(conditions: Sequence[Condition], prefix: str) -> Figure | None:
     if not charts:
         return None
     width = WIDE if len(charts) == 1 else NARROW
-    joined = len({left for _, _, left in places}) == 1
+    fronts = [sum(row["front"] for row in rows) for _, rows in charts]
+    joined = len({left for _, _, left in places}) == 1 and max(fronts) > 1
     views, shown = [], dict[str, ControllerResults]()
     for number, ((condition, money, left), rows) in enumerate(charts, 1):
         titles = [_axis(money, metric_name(money)), _axis(left, metric_words(left, condition.every_key))]
-        spec = trade_chart(rows, titles, joined=joined, width=width)
+        alike = [row for (_, *keys), others in charts if keys == [money, left] for row in others]
+        values = [[row[side] for row in alike] for side in "xy"]
+        spec = trade_chart(rows, titles, values, joined=joined, width=width)
         medians = "; ".join(row["text"] for row in rows if row["median"])
         description = f"{clipped(condition.label)}: {titles[1]} over {titles[0]}: {medians}"
         name = f"{prefix}trade-{number}"

@@ -2,15 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 
 from controllers.export.compiled import Beside
 from controllers.test_foresight import PLANTS, Case, make, power, sample_of
 from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC
 from ddpc_controllers.data.dictionaries import Identity, ThinPlate
-from ddpc_cosim import Controller, Loop, Sample
+from ddpc_cosim import Action, Controller, Loop, Sample, export_controller, further_arguments, further_signals
+from ddpc_cosim.variables import names
 
 STEPS = 60
 
@@ -73,6 +77,67 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "PID": lambda: PID(proportional=4.0, integral=0.5, derivative=0.05, feedforward=True),
     "WKPC": lambda: WKPC(dictionary=ThinPlate(count=4)),
 }
+
+
+def fmu_rows(loop: Loop, samples: list[Sample], horizon: int, *, ahead: bool) -> np.ndarray:
+    """Return the inputs of an exported FMU over time, without what is ahead if so asked."""
+    further = further_arguments(loop, horizon)
+    outputs, preview = names(loop.outputs), min(loop.preview, horizon)
+    others = [i for i, v in enumerate(loop.measurements) if v.name not in outputs]
+    heads = [*outputs, *(loop.measurements[i].name for i in others), *(f"setpoint.{n}" for n in outputs)]
+    heads += [f"reference.{n}[{k}]" for k in range(1, preview + 1) for n in outputs]
+    heads += [signal.name for signal in further_signals(loop, horizon)]
+    rows = []
+    for sample in samples:
+        fields = [getattr(sample, name)[: shape[0]].ravel() for name, shape in further.items()]
+        parts = (sample.y, sample.measured[others], sample.setpoint, sample.reference[:preview].ravel())
+        rows.append((sample.time, *np.clip(np.concatenate([*parts, *fields]), -1e30, 1e30)))
+    table = np.array(rows, dtype=[(name, float) for name in ("time", *heads)])
+    kept = [n for n in heads if ahead or "[" not in n or n.startswith(("reference", "max.y", "min.y"))]
+    return table[["time", *kept]]
+
+
+def lasting(sample: Sample) -> Sample:
+    """Return a sample of which what is ahead is as it is now."""
+    return sample._replace(
+        forecast=np.broadcast_to(sample.disturbance, sample.forecast.shape),
+        band=np.broadcast_to(sample.band_now, sample.band.shape),
+        price=np.broadcast_to(sample.price[0], sample.price.shape),
+        input_limits=np.broadcast_to(sample.input_limits[0], sample.input_limits.shape),
+    )
+
+
+@pytest.mark.parametrize("ahead", [True, False], ids=["connected", "not connected ahead"])
+def test_the_fmu_has_inputs_for_all_of_it(ahead: bool, tmp_path: Path) -> None:
+    case, controller = PLANTS["two inputs, two outputs"], DeePC(horizon=5)
+    loop, rng, samples = replace(make(case, 160), preview=3), np.random.default_rng(2), list[Sample]()
+    controller.start(loop)
+    path = export_controller(controller, loop, tmp_path / "all.fmu")
+    assert validate_fmu(str(path)) == []
+    described = {v.name: v for v in fmpy.read_model_description(str(path)).modelVariables}
+    assert described["price.heat[5]"].unit == "EUR/1"
+    assert {"forecast.d0[5]", "lower.y0[3]", "upper.y0", "max.u0[3]", "max.y0[3]"} <= set(described)
+    assert not {"lower.y0[4]", "max.u0[4]", "max.y0", "forecast.d0[6]"} & set(described)
+    expected, state, u = [], np.zeros(case.output.shape[1]), np.zeros(case.inputs)
+    for k in range(20):
+        y, d = case.output @ state, rng.uniform(-0.5, 1.0, case.disturbances)
+        measured = np.array([*state, power(u, y)])
+        sample = known_so_far(sample_of(loop, k, y, measured, d, 5, rng), 3)
+        samples.append(sample)
+        answer = controller.step(sample if ahead else lasting(sample))
+        u = np.clip(answer.u if isinstance(answer, Action) else answer, *sample.input_limits[0].T)
+        expected.append(u)
+        state = case.advance(state, np.concatenate([u, d]))
+    h = loop.sampling_time
+    result = fmpy.simulate_fmu(
+        str(path),
+        input=fmu_rows(loop, samples, 5, ahead=ahead),
+        stop_time=20 * h,
+        step_size=h,
+        output=["u0", "u1"],
+    )
+    answers = np.array([result["u0"][1:], result["u1"][1:]]).T
+    np.testing.assert_allclose(answers, expected, atol=1e-8 * case.limit)
 
 
 ON_THE_PENDULUM = ("DeePC", "DeePC, plans", "SPC", "gamma-DDPC", "WKPC", "MPC, outputs", "LQR", "PID")

@@ -250,7 +250,13 @@ CONTENT: dict[str, Any] = {
                         "kind": "product",
                         "unit": "deg",
                         "parts": [
-                            {"kind": "interpolated", "times": [0.0, 2.0], "values": [1.0, 1.0], "period": 3.0}
+                            {
+                                "kind": "interpolated",
+                                "times": [0.0, 2.0],
+                                "values": [1.0, 1.0],
+                                "period": 3.0,
+                            },
+                            {"kind": "constant", "value": 2.0},
                         ],
                     },
                 ]

@@ -2,6 +2,9 @@
 
 #include <math.h>
 
+/* An edge or a limit this far off is none: where infinite numbers cannot be told. */
+static const double NONE = 1e30;
+
 void take_known(const Known *known, const double values[], double ahead[])
 {
     for (size_t i = 0; i < known->n; ++i) {
@@ -14,7 +17,7 @@ void choose_ahead(const Chosen *chosen, const double ahead[], double values[])
 {
     for (size_t i = 0; i < chosen->n; ++i) {
         const double value = chosen->factors[i] * ahead[chosen->places[i]];
-        values[i] = isinf(value) ? copysign(chosen->far, value) : value;
+        values[i] = fabs(value) >= NONE ? copysign(chosen->far, value) : value;
     }
 }
 

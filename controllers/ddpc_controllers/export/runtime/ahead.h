@@ -15,7 +15,7 @@ typedef struct {
     size_t n;
     const size_t *places;
     const double *factors;
-    double far; /* stands for what is infinite */
+    double far; /* stands for what is infinite, or 1e30 and more */
 } Chosen;
 
 /* Take what is known; NaN is not. Rows come after those that stand in for them. */
