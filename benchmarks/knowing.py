@@ -132,21 +132,28 @@ TASKS = {
 }
 
 
-def trials(count: int) -> dict[str, list[Controller]]:
-    """Return the settings that every method is tried with, the same for all that is known."""
+def trials(count: int, task: Task) -> dict[str, list[Controller]]:
+    """Return the settings that every method is tried with, the same for all that is known.
+
+    A window that is too long for the recording is drawn again.
+    """
+    sizes = len(task.keywords["inputs"]), len(task.keywords["outputs"]), len(task.keywords["outputs"])
+    recorded = task.keywords["excitation"].samples
     rng = np.random.default_rng(1)
 
     def log(low: float, high: float) -> float:
         return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
 
     drawn: dict[str, list[Controller]] = {"DeePC": [], "SPC": [], "MPC": []}
-    for _ in range(count):
+    while len(drawn["MPC"]) < count:
         windows: dict[str, Any] = {
             "horizon": int(rng.integers(3, 25)),
             "initial_length": int(rng.integers(1, 13)),
             "input_weight": log(1e-7, 10.0),
             "artificial_setpoint": bool(rng.integers(2)),
         }
+        if SPC(**windows).recording_length(*sizes) > recorded:
+            continue
         regulariser: Any = str(rng.choice(["ridge", "projection"]))
         more = {"lambda_g": log(1e-4, 1e5), "affine_sum": "all", "use_current_output": True}
         drawn["DeePC"].append(DeePC(regulariser=regulariser, **more, **windows))
@@ -199,7 +206,7 @@ def judged(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict
     """Return the error of each method with its best settings, in units of the outputs."""
     tried = {
         f"{method} {number}": controller
-        for method, controllers in trials(count).items()
+        for method, controllers in trials(count, task).items()
         for number, controller in enumerate(controllers)
     }
     figures = errors(task, mode, of_steps, tried, TUNED_ON, jobs)
