@@ -191,7 +191,7 @@ class ReducedProblem:
     advice : str
         What keeps the optimum determined, where that is not plain.
     of_past : array of bool, shape (rank,)
-        Coordinates v that only add to rows above the first block that is weighed by itself: what is given.
+        Coordinates v that only add to what is given, where that is a block of its own without a weight.
     """
 
     residual: FloatArray
@@ -317,6 +317,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
             Coordinates(g_costs[0].gain - gain, g_costs[0].law - drawn, factor.weights),
             Coordinates(gain, drawn, np.array(problem.origin_weights)[factor.blocks]),
         ]
+    given = rows - problem.rows["u"] - problem.rows["y"]
     law, gain = _excess(bounded @ particular, bounded @ null_space, limits)
     kept, labels = _tightest(law, gain), problem.labels
     return ReducedProblem(
@@ -333,7 +334,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         amount_gain=amounts @ null_space,
         amount_law=amounts @ particular,
         advice=problem.advice,
-        of_past=(factor.blocks == 0) & (factor.weights == 0.0),
+        of_past=(factor.blocks == 0) & (factor.weights == 0.0) & (problem.weights[0][0] == given),
     )
 
 

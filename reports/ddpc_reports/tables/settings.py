@@ -10,10 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from ddpc_cosim import CosimError, Drift, Ramp, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim import CosimError, Drift, ForecastFile, Ramp, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
-from ddpc_cosim.disturbances import ForecastFile
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
     BandSection,

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from controllers.export.compiled import STRICT
 from controllers.export.loops import COUPLED, PENDULUM, Bench
+from controllers.test_foresight import PLANTS, make
 from ddpc_controllers import (
     IPID,
     LQR,
@@ -26,16 +28,26 @@ from ddpc_controllers import (
     OffsetFree,
     Scaled,
 )
-from ddpc_cosim import Controller, ControllerCode
+from ddpc_cosim import Controller, ControllerCode, Loop
 
 LOOPS = [
     Group(inputs=["u0"], outputs=["x0"], controller=IPID(alpha=4.0)),
     Group(inputs=["u1"], outputs=["x1"], controller=PID(proportional=0.2)),
 ]
-CONTROLLERS: dict[str, tuple[Bench, Controller]] = {
+
+
+class Regulated:
+    """A loop with disturbances, a band, limits that move and prices."""
+
+    def loop(self) -> tuple[Loop, None]:
+        return replace(make(PLANTS["two inputs, two outputs"], 160), preview=5), None
+
+
+CONTROLLERS: dict[str, tuple[Bench | Regulated, Controller]] = {
     "cascade": (PENDULUM, Cascade(inner=PID(proportional=2.0), outer=IPID(alpha=2.0), outer_period=3)),
     "decentralised": (COUPLED, Scaled(controller=Decentralised(groups=LOOPS))),
     "deepc": (PENDULUM, DeePC()),
+    "deepc-regulated": (Regulated(), DeePC(horizon=6)),
     "koopman-mpc": (PENDULUM, KoopmanMPC()),
     "mfapc": (PENDULUM, MFAPC(form="ffdl", rate_bounds=0.3)),
     "mpc": (COUPLED, MPC()),
