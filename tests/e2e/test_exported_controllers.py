@@ -27,6 +27,9 @@ REFUSED = {
     "wkpc-published-code": "the program draws random centres",
     "deepc-online": "the data are factorised anew while the loop runs",
     "wkpc-online": "the data are factorised anew while the loop runs",
+    "edge-mpc": "the method has no code in C",
+    "edge-deepc": "the method has no code in C",
+    "edge-pid": "the method has no code in C",
 }
 
 
