@@ -324,9 +324,9 @@ class LoopSetup:
             try:
                 variable = (self.plant.inputs if is_input else self.plant.outputs)[place]
                 charges.append(price.charge(name, variable))
+                self._charged.append((is_input, place))
             except ConfigError as error:
-                faults += error.faults
-            self._charged.append((is_input, place))
+                faults += [f"prices: {name}: {fault}" for fault in error.faults]
         money = {charge.unit: charge.name for charge in charges}
         if len(money) > 1:
             listed = ", ".join(f"{name} in {unit}" for unit, name in money.items())
@@ -339,15 +339,9 @@ class LoopSetup:
     def rest(self) -> FloatArray:
         """Where the driven inputs are before a run, shape (m,)."""
         pairs = [self._given_bounds.get(v.name, (v.min, v.max)) for v in self.inputs]
-        limits = [
-            [
-                limit if isinstance(limit, int | float) else side * math.inf
-                for limit, side in zip(pair, (-1, 1), strict=True)
-            ]
-            for pair in pairs
-        ]
-        low, high = np.array(limits, dtype=float).reshape(-1, 2).T
-        return np.clip([v.start for v in self.inputs], low, high)
+        low = [-math.inf if isinstance(lower, Reference) else lower for lower, _ in pairs]
+        high = [math.inf if isinstance(upper, Reference) else upper for _, upper in pairs]
+        return np.asarray(np.clip([v.start for v in self.inputs], low, high), dtype=np.float64)
 
     def limits(self, time: FloatArray) -> Limits:
         """Return the limits of inputs and controlled outputs at times [s], shape (K,)."""

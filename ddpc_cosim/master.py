@@ -462,16 +462,7 @@ def _warm_up(
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
-    try:
-        y_plant = _run(setup, controller, rows, y_plant, hold_last=True)
-    except NotFiniteError as error:
-        raise DivergenceError(
-            f"the plant diverged during the warm-up, at t = {shown(rows.next_time)}: {error}"
-        ) from error
-    except FMUStepError as error:
-        raise FMUStepError(f"{error.message}, during the warm-up", error.status, error.time) from error
-    except ControllerError as error:
-        raise ControllerError(f"{error}, during the warm-up, at t = {shown(rows.last_time)}") from error
+    y_plant = _run_before(setup, controller, rows, y_plant, "warm-up")
     return _Stretch(rows.recording(), y_plant)
 
 

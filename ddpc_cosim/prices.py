@@ -85,7 +85,7 @@ class Price(Section):
             rate = display_unit(over_time, self.amount).factor
         except ValueError as error:
             what = f'a price in "{self.unit}" does not fit {self.signal}: {variable.unit or 1} over time'
-            raise ConfigError(f"prices: {name}: {what} is not an amount in {self.amount}") from error
+            raise ConfigError(f"{what} is not an amount in {self.amount}") from error
         return Charge(name, self.signal, rate * self.factor, self.money, self.known, self.amount)
 
 
