@@ -16,8 +16,6 @@ from .controller import (
 )
 from .coupling.plant import CoupledPlant as CoupledPlant
 from .coupling.wiring import Connection as Connection
-from .data_quality import judge_prediction as judge_prediction
-from .disturbances import ForecastFile as ForecastFile, KnownDisturbance as KnownDisturbance
 from .errors import (
     ConfigError as ConfigError,
     ControllerError as ControllerError,
@@ -31,24 +29,16 @@ from .errors import (
     PluginError as PluginError,
     StepStatus as StepStatus,
 )
-from .excitations import (
-    PRBS as PRBS,
-    Chirp as Chirp,
-    Excitation as Excitation,
-    MixedExcitation as MixedExcitation,
-    Multisine as Multisine,
-    SignalExcitation as SignalExcitation,
-    UniformRandom as UniformRandom,
-)
 from .exporting import export_controller as export_controller, further_signals as further_signals
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
-from .master import cosimulate as cosimulate, record as record
+from .loop.data_quality import judge_prediction as judge_prediction
+from .loop.master import cosimulate as cosimulate, record as record
+from .loop.plant_control import PlantControl as PlantControl
+from .loop.trace import Outcome as Outcome, Trace as Trace
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
-from .plant_control import PlantControl as PlantControl
 from .plugins import study_folder as study_folder
-from .prices import Price as Price
 from .settings import (
     SIGNAL as SIGNAL,
     Choice as Choice,
@@ -63,7 +53,18 @@ from .settings import (
     setting as setting,
     weight_matrix as weight_matrix,
 )
-from .signals import (
+from .signals.disturbances import ForecastFile as ForecastFile, KnownDisturbance as KnownDisturbance
+from .signals.excitations import (
+    PRBS as PRBS,
+    Chirp as Chirp,
+    Excitation as Excitation,
+    MixedExcitation as MixedExcitation,
+    Multisine as Multisine,
+    SignalExcitation as SignalExcitation,
+    UniformRandom as UniformRandom,
+)
+from .signals.prices import Price as Price
+from .signals.signals import (
     Band as Band,
     Constant as Constant,
     Drift as Drift,
@@ -91,5 +92,4 @@ from .study.report_sections import (
     ReportTable as ReportTable,
 )
 from .study.results import StudyResults as StudyResults, load_results as load_results
-from .trace import Outcome as Outcome, Trace as Trace
 from .variables import DisplayUnit as DisplayUnit, FloatArray as FloatArray, Variable as Variable

@@ -28,8 +28,8 @@ from typing import (
 
 import numpy as np
 
-from ddpc_cosim.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.errors import ConfigError, Place, dotted
+from ddpc_cosim.files.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.plugins import name_in_file
 from ddpc_cosim.settings import SettingInfo, setting_of
 from fmu_plants.spelling import did_you_mean, nearest

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table, write_table
 from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, read_table, write_table
 from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean

@@ -29,7 +29,7 @@ from ddpc_cosim.responses import (
 )
 from ddpc_cosim.variables import FloatArray
 
-_TRACE = "ddpc_cosim.trace.Trace"
+_TRACE = "ddpc_cosim.loop.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
 _OF_A_SIGNAL = ("difference", "value", "difference.s", "difference.h")
 _HOUR = 3600.0  # s

@@ -15,8 +15,8 @@ from typing import Any, ClassVar, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 
-from ddpc_cosim.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.errors import ConfigError, MissingLibraryError, Place, PluginError, dotted
+from ddpc_cosim.files.durations import EXPECTED as DURATION, seconds_of
 from ddpc_cosim.plugins import load_plugin, load_target
 from ddpc_cosim.variables import FloatArray
 from fmu_plants.spelling import did_you_mean

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import StudyResults, load_results
-from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray
 
 _SOLVE_TIME = "solve_time [s]"

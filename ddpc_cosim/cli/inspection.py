@@ -11,12 +11,12 @@ from rich.text import Text
 from ddpc_cosim.cli.output import fitting, terminal_table
 from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.description import DefaultExperiment, DescribedVariable
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection
 from ddpc_cosim.inspection.systems import SystemInspection
-from ddpc_cosim.tables import Cell, Heading, Row, Table
-from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
 _MOST_ROWS = 20

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ddpc_cosim.errors import CosimWarning
-from ddpc_cosim.tables import Cell, Table
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.tables import Cell, Table
+from ddpc_cosim.files.texts import printable
 
 if TYPE_CHECKING:  # which takes a while to import
     from rich.console import Console

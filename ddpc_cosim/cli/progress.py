@@ -10,8 +10,8 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TextIO
 
-from ddpc_cosim.durations import in_words
-from ddpc_cosim.texts import alike, printable
+from ddpc_cosim.files.durations import in_words
+from ddpc_cosim.files.texts import alike, printable
 
 if TYPE_CHECKING:  # which take a while to import themselves
     from collections.abc import Iterator

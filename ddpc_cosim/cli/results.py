@@ -9,11 +9,11 @@ from pathlib import Path
 from ddpc_cosim.cli.output import say, screen, warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import overall_table, summary_table
+from ddpc_cosim.files.texts import alike, printable
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import HTML, METRICS_FILE, REPORT_FILE, StudyResults, write_report
 from ddpc_cosim.study.verdicts.findings import findings_of
-from ddpc_cosim.texts import alike, printable
-from ddpc_cosim.trace import Outcome
 
 _MOST_LISTED = 20
 

@@ -10,6 +10,8 @@ from rich.text import Text
 
 from ddpc_cosim.cli.output import clipped, fitting, wrapped
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
@@ -23,8 +25,6 @@ from ddpc_cosim.study.verdicts.sentences import (
 )
 from ddpc_cosim.study.verdicts.shares import marked
 from ddpc_cosim.study.verdicts.standings import Standings, known_values, summed
-from ddpc_cosim.tables import Cell, Heading, Row, Table
-from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"
 _RANGE = "range"

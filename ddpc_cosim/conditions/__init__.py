@@ -25,7 +25,7 @@ import numpy as np
 from ddpc_cosim.conditions.condition import Condition, ConditionSetup, Place
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plugins import Plugin, describe, installed, source_hash
-from ddpc_cosim.signals import Reference, Steps, in_unit_of, values_at
+from ddpc_cosim.signals.signals import Reference, Steps, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
@@ -35,7 +35,7 @@ Disturbance = Reference | Sequence[Reference]
 HELD = "a measurement is missing, its last value stands in"
 """Status of a sample at which a controller that needs all measurements was handed an older one."""
 
-# Which stream of a seed serves whom, from 3 on: lower ones are those of loop_setup.
+# Which stream of a seed serves whom, from 3 on: lower ones are those of loop.setup.
 _DISTURBANCES, _SIGNALS, _EXPERIMENT_SIGNALS = 3, 4, 5
 _SIGNAL_KEYS = ("disturbances", "inputs", "recorded_inputs")
 # What ``repr`` shows always: ids of cases depend on it.

@@ -6,7 +6,7 @@ from ddpc_cosim.conditions.condition import Condition
 from ddpc_cosim.settings import SettingInfo
 from ddpc_cosim.variables import FloatArray
 
-_STREAM = 6  # of the seed; lower ones are those of loop_setup and of conditions
+_STREAM = 6  # of the seed; lower ones are those of loop.setup and of conditions
 
 
 class Loss(Condition):

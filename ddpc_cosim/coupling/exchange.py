@@ -16,7 +16,7 @@ from ddpc_cosim.coupling.loops import AlgebraicLoop
 from ddpc_cosim.coupling.parts import Part
 from ddpc_cosim.coupling.wiring import Wiring
 from ddpc_cosim.errors import ConfigError, FMUStepError, StepStatus
-from ddpc_cosim.safe_calls import announce_call_of_plant, calls_are_watched
+from ddpc_cosim.loop.safe_calls import announce_call_of_plant, calls_are_watched
 from ddpc_cosim.variables import FloatArray
 
 

@@ -7,8 +7,13 @@ import numpy as np
 
 from ddpc_cosim.coupling.wiring import AffineMap
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
+from ddpc_cosim.loop.safe_calls import (
+    announce_call_of_plant,
+    feedthrough_of_plant,
+    plant_fault,
+    plant_outputs,
+)
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.safe_calls import announce_call_of_plant, feedthrough_of_plant, plant_fault, plant_outputs
 from ddpc_cosim.variables import FloatArray
 
 

@@ -16,8 +16,8 @@ from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.coupling.wiring import Connection, Wiring
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.loop.safe_calls import plant_provenance
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.safe_calls import plant_provenance
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 

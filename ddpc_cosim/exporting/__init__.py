@@ -9,7 +9,7 @@ import numpy as np
 
 from ddpc_cosim.controller import Controller, Loop, further_arguments
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.safe_calls import controller_code, controller_settings, horizon_of, learns_from_recording
+from ddpc_cosim.loop.safe_calls import controller_code, controller_settings, horizon_of, learns_from_recording
 from ddpc_cosim.study.case_files import sealed_json
 from ddpc_cosim.study.running.provenance import versions
 from ddpc_cosim.variables import Variable, names

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Controller, Loop, Sample, further_arguments
-from ddpc_cosim.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
-from ddpc_cosim.tables import write_rows
-from ddpc_cosim.trace import Trace
+from ddpc_cosim.files.tables import write_rows
+from ddpc_cosim.loop.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
+from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.variables import FloatArray, names
 from fmu_plants.export.sampled_block import SampledBlock
 

@@ -19,8 +19,8 @@ from xml.etree.ElementTree import Element
 from lxml import etree  # type: ignore[import-untyped]
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.path_lengths import ALLOW_MORE, are_limited, longest_excess
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.path_lengths import ALLOW_MORE, are_limited, longest_excess
+from ddpc_cosim.files.texts import printable
 
 MODEL_DESCRIPTION = "modelDescription.xml"
 _RESOURCES = "resources"

@@ -17,6 +17,7 @@ from typing import Any, TypeVar, TypeVarTuple
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUStepError, StepStatus
+from ddpc_cosim.files.texts import recorded
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
 from ddpc_cosim.processes.fork_server import ExitStatus
@@ -31,7 +32,6 @@ from ddpc_cosim.processes.worker import (
     reply_error,
     result_of,
 )
-from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
 T = TypeVar("T")

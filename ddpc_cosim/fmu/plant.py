@@ -12,6 +12,8 @@ import numpy as np
 
 from ddpc_cosim.description import switches_in
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
+from ddpc_cosim.files.tables import plain_table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.isolation import IsolatedSession
@@ -21,8 +23,6 @@ from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.processes.limits import limits_warning
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
-from ddpc_cosim.tables import plain_table
-from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
 

@@ -16,8 +16,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ddpc_cosim.description import PlantSignal, choose_signals
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
+from ddpc_cosim.files.durations import shown
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues

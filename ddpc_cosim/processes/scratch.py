@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from ddpc_cosim.path_lengths import RANDOM
+from ddpc_cosim.files.path_lengths import RANDOM
 from ddpc_cosim.processes.requests import held
 
 _LOCK = ".lock"

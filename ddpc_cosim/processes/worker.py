@@ -23,8 +23,9 @@ from time import monotonic
 from typing import Any
 
 from ddpc_cosim import errors
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.texts import recorded
 from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.fork_server import (
     ONE_THREAD,
@@ -38,7 +39,6 @@ from ddpc_cosim.processes.fork_server import (
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.sandbox import Sandbox, enter, separable
 from ddpc_cosim.processes.scratch import list_shared_memory, remove_shared_memory
-from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
 # JSON of a megabyte can take twenty in memory, numbers take no more than they have.

@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.files.csv_files import CSVFile, split_unit, write_table
+from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
+from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
-from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.signals import values_at
+from ddpc_cosim.signals.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
 from ddpc_cosim.simulation.request import Prepared, SimulationRequest, prepare
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:

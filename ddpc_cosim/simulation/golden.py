@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from ddpc_cosim.codec import read
 from ddpc_cosim.conditions import Conditions
-from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.description import PlantDescription, choose_signals
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.loop_setup import end_time, whole_steps
+from ddpc_cosim.files.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
+from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
+from ddpc_cosim.loop.setup import end_time, whole_steps
 from ddpc_cosim.plant import FMIType, ParameterValue
-from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.signals import Interpolated, Steps, values_at
+from ddpc_cosim.signals.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.sections import PlantSection

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds, Charge
-from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.files.csv_files import PARQUET, read_parquet, write_table
+from ddpc_cosim.files.path_lengths import RANDOM
+from ddpc_cosim.files.tables import own_rows
+from ddpc_cosim.files.texts import recorded
+from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_cosim.path_lengths import RANDOM
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
-from ddpc_cosim.tables import own_rows
-from ddpc_cosim.texts import recorded
-from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import temporary_name, write_atomically, write_through
 

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Controller, Loop, Recording, Sample
-from ddpc_cosim.disturbances import KnownDisturbance
 from ddpc_cosim.errors import (
     ConfigError,
     CosimError,
@@ -25,20 +23,22 @@ from ddpc_cosim.errors import (
     FMUStepError,
     is_of_the_machine,
 )
-from ddpc_cosim.excitations import Excitation
-from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
+from ddpc_cosim.loop import safe_calls
+from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, cosimulate
+from ddpc_cosim.loop.outlook import Limit, Limits, table_widths
+from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_cosim.outlook import Limit, Limits, table_widths
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
-from ddpc_cosim.prices import Price
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
-from ddpc_cosim.signals import Band, GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals.disturbances import KnownDisturbance
+from ddpc_cosim.signals.excitations import Excitation
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Band, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec, content_of_plant
-from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 

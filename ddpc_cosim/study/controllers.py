@@ -15,7 +15,7 @@ from ddpc_cosim.codec import (
 )
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ControllerError, MissingLibraryError, Place, PluginError
-from ddpc_cosim.safe_calls import (
+from ddpc_cosim.loop.safe_calls import (
     DEFAULT_STEP_TIMEOUT,
     CallsInTime,
     controller_settings,

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from ddpc_cosim.codec import InvalidFieldError, independent
-from ddpc_cosim.disturbances import KnownDisturbance, RunTimes, is_foretelling
-from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, DataError, Place
-from ddpc_cosim.signals import Reference, SignalFromFile
+from ddpc_cosim.files.durations import in_words
+from ddpc_cosim.signals.disturbances import KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.signals.signals import Reference, SignalFromFile
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 

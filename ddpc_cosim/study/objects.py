@@ -13,17 +13,19 @@ from ddpc_cosim.codec import declared_fields, read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
-from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
-from ddpc_cosim.durations import seconds_of
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.excitations import Excitation, sampling_faults
+from ddpc_cosim.files.durations import seconds_of
+from ddpc_cosim.files.tables import plain_table
+from ddpc_cosim.files.texts import printable
+from ddpc_cosim.loop.outlook import Limit
 from ddpc_cosim.metrics import Ranking
-from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
-from ddpc_cosim.prices import Price
 from ddpc_cosim.settings import Search
-from ddpc_cosim.signals import Band, Drift, GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals.disturbances import Knowledge, KnownDisturbance
+from ddpc_cosim.signals.excitations import Excitation, sampling_faults
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Band, Drift, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP
@@ -41,8 +43,6 @@ from ddpc_cosim.study.file_format.written import Table, controller_table, experi
 from ddpc_cosim.study.reading import read_file, resolve_file
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
-from ddpc_cosim.tables import plain_table
-from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 

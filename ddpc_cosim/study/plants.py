@@ -14,10 +14,7 @@ from ddpc_cosim.codec import in_folder, plant_in_folder
 from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
-from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
-from ddpc_cosim.processes.scratch import scratch_of_cases
-from ddpc_cosim.safe_calls import (
+from ddpc_cosim.loop.safe_calls import (
     close_plant,
     feedthrough_of_plant,
     make_plant,
@@ -27,6 +24,9 @@ from ddpc_cosim.safe_calls import (
     set_plant_parameters,
     step_plant,
 )
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
+from ddpc_cosim.processes.scratch import scratch_of_cases
 from ddpc_cosim.variables import (
     FloatArray,
     Variable,

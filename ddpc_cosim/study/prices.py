@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from ddpc_cosim.codec import independent
 from ddpc_cosim.errors import ConfigError, Place
-from ddpc_cosim.prices import Price
-from ddpc_cosim.signals import Reference
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Reference
 from ddpc_cosim.study.disturbances import check_reach
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable

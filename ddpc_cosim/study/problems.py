@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Self
 
 from ddpc_cosim.codec import ValidationErrors, declared_fields, read, write
 from ddpc_cosim.errors import Place
+from ddpc_cosim.files.texts import encodable
 from ddpc_cosim.study.file_format.replacing import (
     CONTROLLERS,
     OF_PROBLEM,
@@ -19,7 +20,6 @@ from ddpc_cosim.study.file_format.replacing import (
     without_panels_of,
 )
 from ddpc_cosim.study.file_format.sections import ScenarioSection, Study, StudyHead
-from ddpc_cosim.texts import encodable
 from fmu_plants.spelling import did_you_mean
 
 OF_HEAD = tuple(declared_fields(StudyHead))

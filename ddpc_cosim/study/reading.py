@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from ddpc_cosim.codec import ValidationErrors, declared_fields, read_in
-from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.errors import ConfigError, CosimWarning
+from ddpc_cosim.loop.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.plugins import find_modules_in
 from ddpc_cosim.processes.limits import limits_warning
-from ddpc_cosim.signals import Band, Reference, values_at
+from ddpc_cosim.signals.signals import Band, Reference, values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import Fault, StudyFile, find_study

@@ -11,22 +11,22 @@ import numpy as np
 from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
-from ddpc_cosim.csv_files import forget_cells
 from ddpc_cosim.description import PlantDescription, switch_faults
-from ddpc_cosim.disturbances import KnownDisturbance
-from ddpc_cosim.durations import in_words
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
-from ddpc_cosim.excitations import Excitation
-from ddpc_cosim.loop_setup import limits_error
+from ddpc_cosim.files.csv_files import forget_cells
+from ddpc_cosim.files.durations import in_words
+from ddpc_cosim.loop.outlook import Limit
+from ddpc_cosim.loop.plant_control import PlantControl
+from ddpc_cosim.loop.safe_calls import CallsInTime, recording_length
+from ddpc_cosim.loop.setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
-from ddpc_cosim.outlook import Limit
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.plant_control import PlantControl
-from ddpc_cosim.prices import Price
 from ddpc_cosim.responses import Actuation, Response
-from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
-from ddpc_cosim.signals import Band, Reference
+from ddpc_cosim.signals.disturbances import KnownDisturbance
+from ddpc_cosim.signals.excitations import Excitation
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Band, Reference
 from ddpc_cosim.study.controllers import (
     StudyController,
     late_call,

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.files.tables import plain_table, table_text
+from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
+from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
@@ -26,9 +29,6 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
-from ddpc_cosim.tables import plain_table, table_text
-from ddpc_cosim.texts import alike, encodable, printable, toml_tables
-from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
 

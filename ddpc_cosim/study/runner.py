@@ -23,10 +23,12 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
-from ddpc_cosim.master import OUTCOME_OF
-from ddpc_cosim.path_lengths import ALLOW_MORE, are_limited, longest_excess
+from ddpc_cosim.files.csv_files import load_pyarrow
+from ddpc_cosim.files.path_lengths import ALLOW_MORE, are_limited, longest_excess
+from ddpc_cosim.loop.master import OUTCOME_OF
+from ddpc_cosim.loop.safe_calls import announce_calls
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.plugins import (
     FOLDER_VARIABLE,
     find_modules_in,
@@ -50,7 +52,6 @@ from ddpc_cosim.processes.worker import (
     result_of,
     serve_calls,
 )
-from ddpc_cosim.safe_calls import announce_calls
 from ddpc_cosim.study.case_files import (
     STAGING,
     CaseResult,
@@ -88,7 +89,6 @@ from ddpc_cosim.study.results import (
     write_results,
 )
 from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges, versions
-from ddpc_cosim.trace import Outcome
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from ddpc_cosim.codec import Section, declared_fields, independent
 from ddpc_cosim.conditions import Conditions, all_conditions, may_have
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import Place
-from ddpc_cosim.excitations import Excitation
-from ddpc_cosim.loop_setup import late_error
-from ddpc_cosim.signals import Constant, Drift, ParameterChange, Ramp, Reference, Steps
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.loop.setup import late_error
+from ddpc_cosim.signals.excitations import Excitation
+from ddpc_cosim.signals.signals import Constant, Drift, ParameterChange, Ramp, Reference, Steps
 from ddpc_cosim.study.disturbances import Disturbances
 from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple, TypeVar
 from ddpc_cosim.codec import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.description import PlantDescription
 from ddpc_cosim.errors import ConfigError, DataError, Place
-from ddpc_cosim.excitations import Excitation, MixedExcitation, excitation_of, excited_together
-from ddpc_cosim.loop_setup import excitation_table
+from ddpc_cosim.loop.setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.signals import Reference, level_in_unit
+from ddpc_cosim.signals.excitations import Excitation, MixedExcitation, excitation_of, excited_together
+from ddpc_cosim.signals.signals import Reference, level_in_unit
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.variables import Variable, converter
 from fmu_plants.spelling import nearest

@@ -9,12 +9,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim import safe_calls
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.excitations import UniformRandom
-from ddpc_cosim.loop_setup import whole_steps
+from ddpc_cosim.loop import safe_calls
+from ddpc_cosim.loop.setup import whole_steps
 from ddpc_cosim.plugins import plugin_names
-from ddpc_cosim.signals import Reference, Steps
+from ddpc_cosim.signals.excitations import UniformRandom
+from ddpc_cosim.signals.signals import Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request

@@ -11,7 +11,7 @@ from ddpc_cosim.description import Declarations, PlantSignal, choose_signals, el
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import StartValues
 from ddpc_cosim.fmu.co_simulation import StepSizes
-from ddpc_cosim.loop_setup import limits_error, whole_steps
+from ddpc_cosim.loop.setup import limits_error, whole_steps
 from ddpc_cosim.plant import ParameterValue
 from fmu_plants.spelling import did_you_mean
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ddpc_cosim.codec import ValidationErrors
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
@@ -27,7 +28,6 @@ from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.suggestion.design import clean, rounded
 from ddpc_cosim.suggestion.writing import Proposal
-from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable
 
 Tell = Callable[[str], None]

@@ -10,14 +10,14 @@ import tomli_w
 
 from ddpc_cosim.codec import write_in_short
 from ddpc_cosim.errors import Place
-from ddpc_cosim.signals import Steps
+from ddpc_cosim.files.texts import printable
+from ddpc_cosim.signals.signals import Steps
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.suggestion.choice import Choice, returns
 from ddpc_cosim.suggestion.design import WHY_SETTINGS, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import SHARE, StepTest
-from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable
 
 _WIDTH = 110

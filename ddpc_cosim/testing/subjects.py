@@ -12,17 +12,17 @@ from typing import Any, Protocol, Self
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
+from ddpc_cosim.files.texts import DeepTablesError, toml_tables
+from ddpc_cosim.loop.safe_calls import CallsInTime
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
 from ddpc_cosim.processes.fork_server import ExitStatus
 from ddpc_cosim.processes.sandbox import Sandbox, demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
-from ddpc_cosim.safe_calls import CallsInTime
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
-from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)

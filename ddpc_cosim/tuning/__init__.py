@@ -15,8 +15,10 @@ from typing import Any, NamedTuple, Protocol, Self
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, MissingLibraryError
+from ddpc_cosim.files.tables import table_text
+from ddpc_cosim.files.texts import encodable
+from ddpc_cosim.loop.safe_calls import settings_of_other
 from ddpc_cosim.processes.sandbox import demanded
-from ddpc_cosim.safe_calls import settings_of_other
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, doing_nothing, patterns_of
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
@@ -29,8 +31,6 @@ from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.study.verdicts.judgement import judged, run_of
-from ddpc_cosim.tables import table_text
-from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (
     Figures,

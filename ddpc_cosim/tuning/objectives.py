@@ -9,12 +9,12 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import all_metrics, split_key
 from ddpc_cosim.responses import Actuation, Response
-from ddpc_cosim.signals import Band
+from ddpc_cosim.signals.signals import Band
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.resolve import ResolvedStudy
-from ddpc_cosim.trace import Outcome
 from fmu_plants.spelling import did_you_mean
 
 PREDICTION = "prediction"

@@ -9,6 +9,8 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.tables import Cell, Heading, Table
+from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.findings import OverallFindings, overall_findings
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
@@ -23,8 +25,6 @@ from ddpc_cosim.study.verdicts.sentences import (
     sentence,
 )
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
-from ddpc_cosim.tables import Cell, Heading, Table
-from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures.charts import profile_chart, rank_chart

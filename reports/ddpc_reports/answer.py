@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, Offer, offers_of
 from ddpc_cosim.study.verdicts.sentences import (
@@ -22,7 +23,6 @@ from ddpc_cosim.study.verdicts.sentences import (
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings
 from ddpc_cosim.study.verdicts.statistics import Difference
-from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import knowledge_of_plant
 from ddpc_reports.numbers import MINUS, apart, significant, with_unit

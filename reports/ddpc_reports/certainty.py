@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Sample, describe
-from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

@@ -8,6 +8,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
+from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
@@ -16,7 +17,6 @@ from ddpc_cosim.study.verdicts.judgement import all_failed
 from ddpc_cosim.study.verdicts.shares import describe_shares, end_of, marked, shares_of
 from ddpc_cosim.study.verdicts.standings import Standings, counted, summed
 from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, Sample
-from ddpc_cosim.texts import clipped
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 _LONGEST = 100

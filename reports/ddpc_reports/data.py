@@ -8,9 +8,9 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.tables import Cell, Table
+from ddpc_cosim.files.texts import encodable, printable, without_folders
 from ddpc_cosim.study.verdicts.findings import findings_of
-from ddpc_cosim.tables import Cell, Table
-from ddpc_cosim.texts import encodable, printable, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.sections import StudyPart, gather
 from ddpc_reports.tidy import COLUMNS, tidy_rows

@@ -9,12 +9,12 @@ from typing import cast
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.tables import Heading, Table
 from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
 from ddpc_cosim.study.verdicts.shares import describe_shares, floored, share_runs, shares_of
 from ddpc_cosim.study.verdicts.statistics import Runs, Sample, compare_all, describe
-from ddpc_cosim.tables import Heading, Table
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import duration, significant, time_scale
 from ddpc_reports.shares import (

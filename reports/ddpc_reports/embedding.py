@@ -18,8 +18,8 @@ from typing import Any
 import vl_convert
 from markupsafe import Markup
 
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.plugins import cached
-from ddpc_cosim.texts import printable
 from ddpc_reports.figures.charts import CONFIG
 from ddpc_reports.figures.drawing import DrawingError, cached_picture, rendered
 from ddpc_reports.figures.signal import Column

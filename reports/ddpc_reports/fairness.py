@@ -7,9 +7,9 @@ from typing import NamedTuple
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.files.texts import clipped, without_folders
 from ddpc_cosim.study.file_format.sections import TunedSection
 from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
-from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.tables.settings import compact_seeds, limits_texts, mapping_text

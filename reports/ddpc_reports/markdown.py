@@ -8,8 +8,8 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.tables import Cell, Table
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.tables import Cell, Table
+from ddpc_cosim.files.texts import printable
 from ddpc_reports.sections import StudyPart, gather
 
 _TAG = re.compile(r"<[^>]*>")

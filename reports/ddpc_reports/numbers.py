@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
 
-from ddpc_cosim.texts import clipped, in_words
+from ddpc_cosim.files.texts import clipped, in_words
 
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"

@@ -7,7 +7,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.texts import clipped, printable
+from ddpc_cosim.files.texts import clipped, printable
 from ddpc_reports.embedding import (
     Packed,
     chart_library,

@@ -10,10 +10,10 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, ReportSection, StudyResults
+from ddpc_cosim.files.tables import Table
+from ddpc_cosim.files.texts import clipped, without_folders
 from ddpc_cosim.study.verdicts.findings import Findings, findings_of
 from ddpc_cosim.study.verdicts.standings import Standings
-from ddpc_cosim.tables import Table
-from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
     Overall,

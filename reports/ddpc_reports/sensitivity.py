@@ -10,11 +10,11 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
+from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.ranks import setting_effect
-from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
-from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

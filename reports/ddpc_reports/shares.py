@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from ddpc_cosim.files.tables import Cell, Heading
 from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.verdicts.sentences import italic, join_words
 from ddpc_cosim.study.verdicts.shares import FLOOR, NEGLIGIBLE
 from ddpc_cosim.study.verdicts.statistics import Sample
-from ddpc_cosim.tables import Cell, Heading
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 from ddpc_reports.numbers import MINUS, MISSING, fixed
 from ddpc_reports.tables.table import Column

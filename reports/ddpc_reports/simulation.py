@@ -9,8 +9,8 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import FloatArray, Simulation, Variable
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.plugins import write_atomically
-from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.embedding import drawing, pack, stylesheet
 from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View

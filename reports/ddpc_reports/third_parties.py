@@ -8,9 +8,9 @@ from numbers import Real
 from typing import Any
 
 from ddpc_cosim import CosimWarning, PluginError, ReportSection, ReportTable, StudyResults
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.plugins import installed
-from ddpc_cosim.tables import Cell, Heading, Row, Table
-from ddpc_cosim.texts import printable
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures.figure import Figure, one_chart
 from ddpc_reports.tables.table import number_cells

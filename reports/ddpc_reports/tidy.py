@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator, Sequence
 
 from ddpc_cosim import CaseResult, StudyResults
+from ddpc_cosim.files.tables import table_text
+from ddpc_cosim.files.texts import encodable
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.standings import standings, summed
 from ddpc_cosim.study.verdicts.statistics import describe
-from ddpc_cosim.tables import table_text
-from ddpc_cosim.texts import encodable
 from ddpc_reports.comparison import conditions
 
 COLUMNS = (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.tables import Cell, Heading, Row, Table, own_rows
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table, own_rows
 from ddpc_reports.comparison import metric_words
 from ddpc_reports.figures.charts import front_chart
 from ddpc_reports.figures.figure import Figure, one_chart

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
+from ddpc_cosim.loop.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.verdicts.sentences import (
     ahead_in_pairs_clause,

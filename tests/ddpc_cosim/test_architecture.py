@@ -18,13 +18,13 @@ ROOMS = {
 }
 # Modules that plug-ins may use besides the names of the package.
 PUBLIC_MODULES = {
-    "data_quality",
+    "files.tables",
+    "files.texts",
+    "loop.data_quality",
     "metrics",
     "plugins",
     "responses",
-    "tables",
     "testing",
-    "texts",
 }
 VERDICTS = ("claims", "findings", "judgement", "ranks", "sentences", "shares", "standings", "statistics")
 PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}

@@ -28,8 +28,8 @@ from ddpc_cosim import (
     cosimulate,
     setting,
 )
+from ddpc_cosim.loop.safe_calls import recording_length
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.safe_calls import recording_length
 from ddpc_cosim.study.cases import cases_of, run_case
 from ddpc_cosim.study.reading import read_study
 

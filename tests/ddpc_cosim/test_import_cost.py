@@ -110,7 +110,7 @@ def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
 
 def test_writing_and_reading_parquet(tmp_path: Path) -> None:
     """Every worker pays for it."""
-    code = "import numpy as np\nfrom pathlib import Path\nfrom ddpc_cosim.csv_files import *\n"
+    code = "import numpy as np\nfrom pathlib import Path\nfrom ddpc_cosim.files.csv_files import *\n"
     code += "write_table(path := Path('a.parquet'), {'y [m]': np.ones(3)}, {'status': ['ok'] * 3})\n"
     code += "read_parquet(path.read_bytes())"
     loaded = modules_after(code, tmp_path)

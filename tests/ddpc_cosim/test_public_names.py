@@ -5,7 +5,8 @@ import inspect
 import pytest
 
 import ddpc_cosim
-from ddpc_cosim import errors, signals
+from ddpc_cosim import errors
+from ddpc_cosim.signals import signals
 
 
 @pytest.mark.parametrize("name", ddpc_cosim.__all__)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from controllers.export.compiled import Beside
 
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Outcome, Sample, safe_calls
+from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Outcome, Sample
+from ddpc_cosim.loop import safe_calls
 from ddpc_cosim.study import cases
 from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.reading import read_study

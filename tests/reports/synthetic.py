@@ -9,13 +9,13 @@ import numpy as np
 
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
 from ddpc_cosim.codec import read
+from ddpc_cosim.files.tables import Table
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.verdicts.judgement import judged
 from ddpc_cosim.study.verdicts.standings import standings
-from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import Condition
 from ddpc_reports.tables.ranking import ranking_table
 from ddpc_reports.verdict import Part, Statement, findings

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import bootstrap, permutation_test
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.tables import Row, Table
+from ddpc_cosim.files.tables import Row, Table
 from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING

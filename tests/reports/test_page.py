@@ -21,9 +21,9 @@ from rich.console import Console
 
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import METRICS, metric_name
 from ddpc_cosim.study.results import METRICS_FILE, write_results
-from ddpc_cosim.texts import printable
 from ddpc_reports import sections, write_report
 from ddpc_reports.embedding import chart_library
 from ddpc_reports.figures import drawing, over_time

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.files.tables import Table
 from ddpc_cosim.study.file_format.sections import StudyHead
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.tables import Table
 from ddpc_reports import sections
 from ddpc_reports.across_problems import overall, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_table

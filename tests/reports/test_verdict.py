@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.files.tables import Table
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.verdicts.sentences import join_words
-from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.page import render_page
 from ddpc_reports.tables.cases import cases_table

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_cosim import ConfigError, Controller, ControllerCode, FloatArray, Loop, Sample, further_arguments
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 STATUSES: Mapping[int, str] = {
     1: "a value is not finite: inputs held, or at rest",

@@ -36,7 +36,7 @@ from ddpc_cosim import (
     further_signals,
     setting,
 )
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 if TYPE_CHECKING:  # what runs FMUs is imported where there is one
     from ddpc_cosim import FMUPlant

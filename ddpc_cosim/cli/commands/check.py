@@ -8,7 +8,7 @@ import click
 from ddpc_cosim.cli import options
 from ddpc_cosim.cli.options import argument, command, names_of, option
 from ddpc_cosim.cli.progress import shown
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 if TYPE_CHECKING:
     from ddpc_cosim.testing.check_results import CheckResult
@@ -60,7 +60,7 @@ def _print(title: str, results: "list[CheckResult]") -> None:
     from rich.console import Console
 
     from ddpc_cosim.cli.output import terminal_table
-    from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
+    from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
 
     console = Console()
     if not console.is_terminal:

@@ -7,7 +7,7 @@ from ddpc_cosim.cli.options import argument, command, names_of, option
 from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 _MATRICES = ("A", "B", "C", "D")
 

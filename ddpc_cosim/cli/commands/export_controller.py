@@ -8,7 +8,7 @@ from ddpc_cosim.cli import options
 from ddpc_cosim.cli.options import command, option
 from ddpc_cosim.cli.output import warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 
 @command

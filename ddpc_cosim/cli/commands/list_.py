@@ -9,7 +9,7 @@ import click
 from ddpc_cosim.cli.options import JSON, argument, command
 from ddpc_cosim.cli.output import screen, terminal_table
 from ddpc_cosim.cli.progress import shown
-from ddpc_cosim.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 
 _BUILT_IN = "ddpc_cosim.metrics:METRICS"
 Kind = Literal["plants", "controllers", "studies", "metrics", "conditions", "reports"]

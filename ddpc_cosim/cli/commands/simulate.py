@@ -13,7 +13,7 @@ from ddpc_cosim.cli.options import FiniteRange, argument, assignments, command, 
 from ddpc_cosim.cli.output import say, screen
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 if TYPE_CHECKING:
     from ddpc_cosim.simulation import Simulation
@@ -66,7 +66,7 @@ def simulate(
     sandbox: bool = options.SANDBOX,
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
-    from ddpc_cosim.csv_files import CSVFile
+    from ddpc_cosim.files.csv_files import CSVFile
     from ddpc_cosim.simulation.request import SimulationRequest
 
     try:
@@ -165,7 +165,7 @@ def _write(simulation: "Simulation", path: Path) -> None:
 def _print(simulation: "Simulation") -> None:
     """Print notes and, of each signal, its values at the start and at the end, and its range."""
     from ddpc_cosim.cli.output import terminal_table
-    from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
+    from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
 
     for note in simulation.notes:
         say(f"note: {note}", err=True)

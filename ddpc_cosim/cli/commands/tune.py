@@ -13,7 +13,7 @@ from ddpc_cosim.cli.options import command, option, parse_seeds
 from ddpc_cosim.cli.output import say, warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import MissingLibraryError
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 
 if TYPE_CHECKING:
     from ddpc_cosim.tuning import Request, Tuned

@@ -11,7 +11,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ddpc_cosim.codec import KIND, Kinds, Prepared, Rule, Size, declared_fields
-from ddpc_cosim.durations import DURATION_SCHEMA
+from ddpc_cosim.files.durations import DURATION_SCHEMA
 from ddpc_cosim.plugins import installed
 from ddpc_cosim.settings import SettingInfo, Weight, declared_settings
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, EXTENDS, OF_PROBLEM, PROBLEMS, STUDY, SWEEP

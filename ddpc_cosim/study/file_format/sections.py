@@ -25,16 +25,14 @@ from ddpc_cosim.codec import (
 )
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
-from ddpc_cosim.csv_files import TIME_TOLERANCE
-from ddpc_cosim.disturbances import Knowledge, KnownDisturbance
-from ddpc_cosim.durations import MOMENT_SCHEMA, in_words, moment_of
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.excitations import InputExcitation
-from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
+from ddpc_cosim.files.csv_files import TIME_TOLERANCE
+from ddpc_cosim.files.durations import MOMENT_SCHEMA, in_words, moment_of
+from ddpc_cosim.files.texts import printable
+from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
+from ddpc_cosim.loop.setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plugins import shown_name
-from ddpc_cosim.prices import Price
-from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import (
     Choice,
     Factor,
@@ -47,7 +45,10 @@ from ddpc_cosim.settings import (
     map_plants,
     setting,
 )
-from ddpc_cosim.signals import (
+from ddpc_cosim.signals.disturbances import Knowledge, KnownDisturbance
+from ddpc_cosim.signals.excitations import InputExcitation
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import (
     REFERENCES,
     Band,
     Drift,
@@ -60,7 +61,6 @@ from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class
 from ddpc_cosim.study.file_format.replacing import PROBLEMS
 from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
-from ddpc_cosim.texts import printable
 from fmu_plants.spelling import did_you_mean
 
 

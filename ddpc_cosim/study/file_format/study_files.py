@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from ddpc_cosim.codec import in_folder, plant_in_folder, with_names
 from ddpc_cosim.errors import ConfigError, CosimError, Place, PluginError, dotted
+from ddpc_cosim.files.texts import DeepTablesError, toml_tables
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.settings import PLANT, SettingInfo
 from ddpc_cosim.study.file_format.replacing import (
@@ -28,7 +29,6 @@ from ddpc_cosim.study.file_format.replacing import (
 )
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.file_format.sweeps import path_of
-from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.files import is_file
 
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.errors import Place
-from ddpc_cosim.texts import toml_tables
+from ddpc_cosim.files.texts import toml_tables
 
 ZIP = "zip"
 MOST_VARIANTS = 1000

@@ -9,10 +9,10 @@ import numpy as np
 from ddpc_cosim.codec import write, write_in_short
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.settings import Choice, Linear, is_plain, to_plain
-from ddpc_cosim.signals import INPUTS, Band, GaussianNoise, Reference
+from ddpc_cosim.signals.excitations import EXCITATIONS, Excitation, MixedExcitation, SignalExcitation
+from ddpc_cosim.signals.signals import INPUTS, Band, GaussianNoise, Reference
 from ddpc_cosim.study.file_format.sections import BandSection, search_table
 
 Table = dict[str, Any]

@@ -33,13 +33,13 @@ from ddpc_cosim.errors import (
     MissingLibraryError,
     is_of_the_machine,
 )
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.plugins import names_in, origin, own_files, own_folder, plugin_names, values_of
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.study.case_files import RUN_FILE, STAGING, accept_case, read_sealed, sealed_json, write_case
 from ddpc_cosim.study.cases import Case, CaseContext, data_files, no_samples, plants_in, plugins_in
-from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir, cached
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from ddpc_cosim.durations import about
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.durations import about
 from ddpc_cosim.study.case_files import DAMAGED, DOING_NOTHING, RUN_FILE, read_run
 from ddpc_cosim.study.results import CASES_FOLDER
 

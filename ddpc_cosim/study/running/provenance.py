@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.texts import recorded
 from ddpc_cosim.plugins import package_of, package_version, types_in
 from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.texts import recorded
 from fmu_plants.commands import captured
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies

@@ -13,6 +13,7 @@ from itertools import combinations
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
@@ -36,7 +37,6 @@ from ddpc_cosim.study.verdicts.ranks import (
 )
 from ddpc_cosim.study.verdicts.standings import Standing, Standings, known_values, standings
 from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, compare_all
-from ddpc_cosim.texts import printable
 
 if TYPE_CHECKING:
     import pandas as pd

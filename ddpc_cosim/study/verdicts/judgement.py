@@ -30,11 +30,11 @@ from dataclasses import replace
 from statistics import fmean, median
 from typing import TYPE_CHECKING, NamedTuple
 
+from ddpc_cosim.files.texts import alike, printable
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.responses import EndWindow, Tracking
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.texts import alike, printable
-from ddpc_cosim.trace import Outcome
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import ScenarioSection, Study

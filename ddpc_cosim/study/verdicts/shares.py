@@ -14,12 +14,12 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.statistics import Runs, Sample, describe
-from ddpc_cosim.trace import Outcome
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from itertools import combinations
 from statistics import fmean, median
 from typing import NamedTuple, cast
 
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import discomfort, headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
@@ -22,7 +23,6 @@ from ddpc_cosim.study.verdicts.statistics import (
     describe,
     interactions,
 )
-from ddpc_cosim.trace import Outcome
 
 _ERRORS = ("cost", "mean_abs_error", "rmse", "money", "band_violation")
 """What is ranked by, and its companion: those of a run that failed say nothing of those that did not."""

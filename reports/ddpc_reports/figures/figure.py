@@ -9,8 +9,8 @@ from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim import CosimWarning
+from ddpc_cosim.files.texts import clipped, recorded, without_folders
 from ddpc_cosim.metrics import metric_name
-from ddpc_cosim.texts import clipped, recorded, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,

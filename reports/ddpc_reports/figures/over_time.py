@@ -7,7 +7,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
-from ddpc_cosim.texts import clipped
+from ddpc_cosim.files.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS

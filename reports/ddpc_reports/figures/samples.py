@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddpc_cosim import FloatArray, Trace, Variable
-from ddpc_cosim.texts import clipped
+from ddpc_cosim.files.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.figures.clock import Clock, clock_for
 from ddpc_reports.figures.signal import LOWER, UPPER, Column, Given, Signal, known, rounded, times

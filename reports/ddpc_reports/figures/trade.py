@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.metrics import discomfort, metric_name
-from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_unit, metric_words
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import trade_chart

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 
 from ddpc_cosim import CaseResult, StudyResults
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.texts import printable, without_folders
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.tables import Cell, Heading, Row, Table
-from ddpc_cosim.texts import printable, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,

@@ -8,12 +8,12 @@ from typing import NamedTuple
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.metrics import all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ClaimSection, PublishedMethod, Reproduction
 from ddpc_cosim.study.verdicts.claims import check_claims
 from ddpc_cosim.study.verdicts.sentences import italic
-from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ddpc_cosim import judge_prediction
-from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import Condition, ControllerResults, spread
 from ddpc_reports.numbers import MISSING, integer, significant
 from ddpc_reports.tables.table import Column, number_cells

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ddpc_cosim import OK, CaseResult, Outcome, StudyResults
-from ddpc_cosim.tables import Cell, Heading, Row, Table
-from ddpc_cosim.texts import NUMBER, alike, without_folders
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.texts import NUMBER, alike, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.numbers import MISSING, as_given, computed, integer, with_unit
 

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from ddpc_cosim.files.tables import Cell, Heading, Table
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
-from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.tables import Cell, Row, Table, text_headings
-from ddpc_cosim.texts import without_folders
+from ddpc_cosim.files.tables import Cell, Row, Table, text_headings
+from ddpc_cosim.files.texts import without_folders
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.tables.settings import compact_seeds, facts_table
 

@@ -13,6 +13,8 @@ import numpy as np
 from ddpc_cosim import CosimError, Drift, ForecastFile, Ramp, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
+from ddpc_cosim.files.texts import without_folders
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.file_format.sections import (
     BandSection,
@@ -24,8 +26,6 @@ from ddpc_cosim.study.file_format.sections import (
     ScenarioSection,
     Study,
 )
-from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
-from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, given_time, unit_symbol, with_unit

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, Literal
 
-from ddpc_cosim.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import MISSING, apart, column
 

@@ -16,8 +16,8 @@ from fmus.builder import Fault
 from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.fmu.isolation import Frame, IsolatedSession
+from ddpc_cosim.loop.safe_calls import CallsInTime
 from ddpc_cosim.processes.worker import Channel
-from ddpc_cosim.safe_calls import CallsInTime
 
 from .loop import H
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ddpc_cosim import Action, Constant, Controller, FMUPlant, Loop, Sample, Variable, cosimulate, safe_calls
+from ddpc_cosim import Action, Constant, Controller, FMUPlant, Loop, Sample, Variable, cosimulate
+from ddpc_cosim.loop import safe_calls
 from ddpc_cosim.processes.rows import RowStore, info_path
 from ddpc_cosim.variables import FloatArray
 

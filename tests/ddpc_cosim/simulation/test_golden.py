@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, DataError, Variable
-from ddpc_cosim.csv_files import CSVFile
+from ddpc_cosim.files.csv_files import CSVFile
 from ddpc_cosim.simulation.golden import Golden
 
 H, V, X = Variable("h", unit="m"), Variable("v", unit="m/s"), Variable("x[2]")

@@ -23,9 +23,9 @@ from ddpc_cosim import (
     Study,
     UniformRandom,
 )
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.study.cases import Case, _hash_of, doing_nothing, no_samples, row_store
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.trace import Outcome
 
 from .file_format.test_validation_errors import errors_of
 

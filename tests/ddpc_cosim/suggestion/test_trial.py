@@ -18,7 +18,7 @@ from fmus.builder import (
 )
 
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.signals import Steps
+from ddpc_cosim.signals.signals import Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study, write_study

@@ -15,12 +15,12 @@ from studies import write
 from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_missing
-from ddpc_cosim.trace import Outcome
 from ddpc_cosim.tuning import Request, Tuned, tune_study
 from ddpc_cosim.tuning.objectives import Objective, Run
 from ddpc_cosim.tuning.search import Figures, SettingsSearch, Trial, best, search_spaces

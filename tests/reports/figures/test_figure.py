@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Outcome, Trace
-from ddpc_cosim.texts import clipped
+from ddpc_cosim.files.texts import clipped
 from ddpc_reports.comparison import conditions, on_one_page
 from ddpc_reports.embedding import _points, _simplified, _steps, pack
 from ddpc_reports.figures.charts import COLOURS, DASHES, colour, dash, log_ticks

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.files.tables import Row, Table
 from ddpc_cosim.metrics import METRICS, Metric
 from ddpc_cosim.responses import Response
-from ddpc_cosim.tables import Row, Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import (

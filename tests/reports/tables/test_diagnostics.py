@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from ddpc_cosim import StudyResults, Trace
-from ddpc_cosim.tables import Table
+from ddpc_cosim.files.tables import Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import TIMES
 from ddpc_reports.tables.diagnostics import diagnostics_tables

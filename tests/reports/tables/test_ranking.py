@@ -10,8 +10,8 @@ import pytest
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.files.tables import Cell, Table
 from ddpc_cosim.study.verdicts.standings import standings
-from ddpc_cosim.tables import Cell, Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from ddpc_cosim import ConfigError, StudyResults, Trace
 from ddpc_cosim.codec import Kinds, declared_fields, read, write
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.files.tables import Table
 from ddpc_cosim.study.file_format.sections import (
     ClaimSection,
     ReferencePoints,
@@ -21,7 +22,6 @@ from ddpc_cosim.study.file_format.sections import (
     Study,
 )
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time

@@ -4,7 +4,7 @@ from base64 import b64decode
 
 from markupsafe import Markup
 
-from ddpc_cosim.tables import Cell, Heading, Row, Table
+from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
 

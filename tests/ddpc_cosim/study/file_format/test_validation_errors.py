@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from ddpc_cosim import ConfigError
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.durations import EXPECTED
+from ddpc_cosim.files.durations import EXPECTED
 from ddpc_cosim.studies import paper
 from ddpc_cosim.study.file_format.study_files import key_lines
 from ddpc_cosim.study.reading import read_study

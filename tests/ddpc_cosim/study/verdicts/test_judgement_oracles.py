@@ -40,7 +40,7 @@ from ddpc_cosim import (
     cosimulate,
 )
 from ddpc_cosim.codec import read
-from ddpc_cosim.signals import GaussianNoise
+from ddpc_cosim.signals.signals import GaussianNoise
 from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.verdicts.judgement import judged, run_of, scenario_remarks
 from ddpc_cosim.study.verdicts.standings import standings

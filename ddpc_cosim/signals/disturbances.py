@@ -19,11 +19,11 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 
 from ddpc_cosim.codec import Section, Size
-from ddpc_cosim.csv_files import Column, CSVFile, read_table
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import Column, CSVFile, read_table
+from ddpc_cosim.files.durations import shown
 from ddpc_cosim.settings import setting
-from ddpc_cosim.signals import Constant, InputSignal, Reference
+from ddpc_cosim.signals.signals import Constant, InputSignal, Reference
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.units import parse_unit
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.codec import Kinds, Section, declared_fields
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import SIGNAL, setting
-from ddpc_cosim.signals import (
+from ddpc_cosim.signals.signals import (
     RecordedSignal,
     Reference,
     Signal,

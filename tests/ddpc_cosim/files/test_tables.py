@@ -7,7 +7,16 @@ import pytest
 from rich.console import Console
 
 from ddpc_cosim.cli.output import fitting, terminal_table
-from ddpc_cosim.tables import Cell, Heading, Row, Table, own_rows, plain_table, table_text, text_headings
+from ddpc_cosim.files.tables import (
+    Cell,
+    Heading,
+    Row,
+    Table,
+    own_rows,
+    plain_table,
+    table_text,
+    text_headings,
+)
 
 HEADINGS = (
     *text_headings("name", "note"),

@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal, get_origin
 import numpy as np
 
 from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
-from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
-from ddpc_cosim.durations import in_words, shown
 from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, read_table
+from ddpc_cosim.files.durations import in_words, shown
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
 from ddpc_cosim.variables import FloatArray, Variable, converter

@@ -15,9 +15,6 @@ import numpy as np
 
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
-from ddpc_cosim.data_quality import recording_warnings
-from ddpc_cosim.disturbances import KnownDisturbance
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import (
     ConfigError,
     ControllerError,
@@ -27,24 +24,11 @@ from ddpc_cosim.errors import (
     StepStatus,
     is_of_the_machine,
 )
-from ddpc_cosim.excitations import Excitation, sampling_faults
-from ddpc_cosim.loop_setup import (
-    CONTROLLER_STREAM,
-    STABILISER_STREAM,
-    WARM_UP_STREAM,
-    LoopSetup,
-    check_events,
-    end_time,
-    excitation_table,
-    whole_steps,
-)
-from ddpc_cosim.outlook import Limit, Outlook, Wanted
-from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plant_control import PlantControl
-from ddpc_cosim.prices import Price
-from ddpc_cosim.processes.fork_server import ONE_THREAD
-from ddpc_cosim.processes.rows import RowStore
-from ddpc_cosim.safe_calls import (
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.loop.data_quality import recording_warnings
+from ddpc_cosim.loop.outlook import Limit, Outlook, Wanted
+from ddpc_cosim.loop.plant_control import PlantControl
+from ddpc_cosim.loop.safe_calls import (
     NotFiniteError,
     ask_controller,
     clip_inputs,
@@ -62,8 +46,24 @@ from ddpc_cosim.safe_calls import (
     start_controller,
     step_plant,
 )
-from ddpc_cosim.signals import Band, GaussianNoise, ParameterChange, Reference
-from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.loop.setup import (
+    CONTROLLER_STREAM,
+    STABILISER_STREAM,
+    WARM_UP_STREAM,
+    LoopSetup,
+    check_events,
+    end_time,
+    excitation_table,
+    whole_steps,
+)
+from ddpc_cosim.loop.trace import Outcome, Trace
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.processes.fork_server import ONE_THREAD
+from ddpc_cosim.processes.rows import RowStore
+from ddpc_cosim.signals.disturbances import KnownDisturbance
+from ddpc_cosim.signals.excitations import Excitation, sampling_faults
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Band, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.variables import FloatArray
 
 OUTCOME_OF = {

@@ -20,7 +20,7 @@ from ddpc_cosim import (
     Steps,
     UniformRandom,
 )
-from ddpc_cosim.excitations import _TAPS, maximum_length_sequence
+from ddpc_cosim.signals.excitations import _TAPS, maximum_length_sequence
 
 SEEDS = st.integers(0, 2**32 - 1)
 

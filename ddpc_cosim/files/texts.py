@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ddpc_cosim.durations import in_words as in_words
+from ddpc_cosim.files.durations import in_words as in_words
 from fmu_plants.texts import encodable as encodable, printable as printable
 
 _LONGEST_RECORDED = 2000

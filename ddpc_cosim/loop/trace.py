@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
-from ddpc_cosim.csv_files import write_table
-from ddpc_cosim.durations import shown
+from ddpc_cosim.files.csv_files import write_table
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.tables import plain_table
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
-from ddpc_cosim.tables import plain_table
-from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 if TYPE_CHECKING:
@@ -293,7 +293,7 @@ class Trace:
 
         It shows itself in a notebook; ``save`` writes it as a page, SVG or PNG.
         """
-        from ddpc_cosim.plotting import Panel, time_chart
+        from ddpc_cosim.loop.plotting import Panel, time_chart
 
         panels = []
         for i, output in enumerate(self.outputs):

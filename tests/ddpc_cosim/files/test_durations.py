@@ -12,11 +12,11 @@ from studies import study_text
 
 from ddpc_cosim import Drift, ParameterChange, Ramp, Steps
 from ddpc_cosim.codec import read
-from ddpc_cosim.durations import DURATION_SCHEMA, MOMENT_SCHEMA, in_words, moment_of, seconds_of
+from ddpc_cosim.files.durations import DURATION_SCHEMA, MOMENT_SCHEMA, in_words, moment_of, seconds_of
 from ddpc_cosim.study.file_format.sections import CouplingSection, LoopSection, PartSection, RecordingSection
 from ddpc_cosim.study.reading import read_study
 
-from .study.file_format.test_validation_errors import errors_of
+from ..study.file_format.test_validation_errors import errors_of
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

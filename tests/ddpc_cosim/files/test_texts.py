@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.texts import (
+from ddpc_cosim.files.texts import (
     DeepTablesError,
     clipped,
     encodable,

@@ -11,8 +11,8 @@ from hypothesis import given, strategies as st
 from studies import run_file
 
 from ddpc_cosim import ConfigError, FMUImportError, FMUPlant
+from ddpc_cosim.files.path_lengths import longest_excess
 from ddpc_cosim.fmu import archive
-from ddpc_cosim.path_lengths import longest_excess
 from ddpc_cosim.processes.scratch import scratch_of_cases
 from ddpc_cosim.study import runner
 from ddpc_cosim.study.case_files import longest_files

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.texts import printable
+from ddpc_cosim.files.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:

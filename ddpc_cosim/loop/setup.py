@@ -11,15 +11,15 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Charge, Controller, Loop, Recording
-from ddpc_cosim.disturbances import Forecasts, KnownDisturbance, RunTimes, is_foretelling
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.excitations import Excitation
-from ddpc_cosim.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.loop.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
+from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plant_control import PlantControl
-from ddpc_cosim.prices import Price
-from ddpc_cosim.signals import (
+from ddpc_cosim.signals.disturbances import Forecasts, KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.signals.excitations import Excitation
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import (
     Band,
     Constant,
     GaussianNoise,

@@ -26,7 +26,7 @@ from ddpc_cosim import (
     WhiteNoise,
 )
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parents[2] / "data"
 
 
 def test_constant() -> None:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
-from ddpc_cosim.tables import csv_records, write_rows
+from ddpc_cosim.files.tables import csv_records, write_rows
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 

@@ -7,8 +7,9 @@ import pyarrow.parquet
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from ddpc_cosim import ConfigError, DataError, DisplayUnit, Interpolated, Steps, Variable, csv_files
-from ddpc_cosim.csv_files import Column, read_table, split_unit, write_table
+from ddpc_cosim import ConfigError, DataError, DisplayUnit, Interpolated, Steps, Variable
+from ddpc_cosim.files import csv_files
+from ddpc_cosim.files.csv_files import Column, read_table, split_unit, write_table
 from ddpc_cosim.study.reading import read_study
 
 LEVEL = Variable("level", unit="m")

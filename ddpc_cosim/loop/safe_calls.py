@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, ControllerCode, Loop, Sample
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.texts import recorded
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.settings import to_plain
-from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
 CLIPPED = "input beyond its bounds, clipped"

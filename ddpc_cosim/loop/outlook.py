@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Bounds, Charge, Sample
-from ddpc_cosim.disturbances import Forecasts, KnownDisturbance
-from ddpc_cosim.durations import shown
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.prices import Price
-from ddpc_cosim.signals import Band, Reference, in_unit_of, values_at
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.signals.disturbances import Forecasts, KnownDisturbance
+from ddpc_cosim.signals.prices import Price
+from ddpc_cosim.signals.signals import Band, Reference, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable
 
 Limit = float | Reference

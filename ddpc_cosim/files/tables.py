@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from io import StringIO
 from typing import Any, TextIO
 
-from ddpc_cosim.texts import csv_text, encodable, recorded
+from ddpc_cosim.files.texts import csv_text, encodable, recorded
 
 Raw = float | int | str
 _DASH = "\N{EN DASH}"

@@ -8,7 +8,7 @@ from ddpc_cosim.codec import Section
 from ddpc_cosim.controller import Charge
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import setting
-from ddpc_cosim.signals import Reference, ReferenceSignal, in_unit_of, values_at
+from ddpc_cosim.signals.signals import Reference, ReferenceSignal, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.units import display_unit
 
