@@ -21,6 +21,11 @@ def names(variables: Sequence[Variable]) -> tuple[str, ...]:
     return tuple(variable.name for variable in variables)
 
 
+def unknown_names(what: str, given: Iterable[str], known: Sequence[str]) -> list[str]:
+    """Return a fault for every given name that is not among the known ones."""
+    return [f'{what}: no signal "{name}"; {did_you_mean(name, known)}' for name in given if name not in known]
+
+
 def conversions(unit: str, defined: Iterable[DisplayUnit] = ()) -> dict[str, DisplayUnit]:
     """Return the units in which values in a unit can be shown, by name.
 

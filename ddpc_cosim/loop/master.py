@@ -255,7 +255,7 @@ def cosimulate(
     elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
         set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
-    later = max(horizon, horizon_of(warmer)) if setup.looks_ahead else 0
+    later = max(horizon, horizon_of(warmer)) if setup.disturbances.looks_ahead else 0
     first, samples = warm_up_steps, steps + 1
     whole = begin + np.arange(first + samples + later, dtype=np.float64) * sampling_time
     past = recording if continue_recording else None
@@ -313,11 +313,11 @@ def cosimulate(
         knowledge=knowledge,
         provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
-        disturbances=setup.disturbances,
-        acting=setup.acting,
+        disturbances=setup.disturbances.told,
+        acting=tuple(setup.disturbances.declared),
         bands=loop.bands,
         moving_limits=limits.moving,
-        charges=setup.charges,
+        charges=setup.charged.charges,
     )
 
 
@@ -493,12 +493,12 @@ def _experiment(
     inputs = excitation_table(excitation, len(setup.inputs))
     samples = len(inputs)
     if begin is None:
-        begin = run[0] - samples * sampling_time if run and setup.has_disturbances else 0.0
+        begin = run[0] - samples * sampling_time if run and setup.disturbances.declared else 0.0
     if run:
-        setup.check_unseen((begin, begin + samples * sampling_time), run)
+        setup.disturbances.check_unseen((begin, begin + samples * sampling_time), run)
     exciting = ExcitingController(inputs, stabiliser)
     horizon = exciting.horizon
-    later = horizon if setup.looks_ahead else 0
+    later = horizon if setup.disturbances.looks_ahead else 0
     time = begin + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
     if stabiliser is not None:
@@ -571,7 +571,7 @@ class _Rows:
         """Take what controllers may look at, and keep what is known before the run."""
         self.outlook, count = outlook, len(self.time)
         self.store.reference[:] = outlook.wish.reference[:count]
-        price, emission = self._setup.prices_at(self.time)
+        price, emission = self._setup.charged.prices_at(self.time)
         inputs = len(self._setup.inputs)
         tables = {
             "band": outlook.wish.band,
@@ -608,12 +608,12 @@ class _Rows:
         """
         setup, store, outlook = self._setup, self.store, self.outlook
         measured = setup.measure(first + k, y_plant)
-        disturbance = measured.d[setup.known] if setup.disturbances else _NOTHING
+        disturbance = measured.d[setup.disturbances.is_told]
         if outlook.has_bands:
             store.reference[k] = outlook.nearest(k, measured.y)
-        if setup.disturbances:
+        if disturbance.size:
             store.more["d"][k] = disturbance
-        if setup.charges:
+        if setup.charged.charges:
             store.more["charged"][k] = np.nan
         store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
@@ -624,8 +624,8 @@ class _Rows:
         decision = ask_controller(controller, sample, store.u.shape[1]).with_status(measured.status)
         held = clip_inputs(decision, outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
-        if setup.charges:
-            store.more["charged"][k] = setup.charged(controller, applied, measured.all_outputs)
+        if setup.charged.charges:
+            store.more["charged"][k] = setup.charged.amounts(controller, applied, measured.all_outputs)
         given = setup.actuators.changed(applied)
         u = held.u if self._seen is not None else setup.commanded(controller, held.u)
         store.complete(k, u, held.status, held.seconds, given, held.info)
@@ -634,7 +634,7 @@ class _Rows:
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
         """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
         assert self._forecast is not None
-        if k in self._setup.issues(len(expected), len(self.time)):
+        if k in self._setup.disturbances.issues(len(expected), len(self.time)):
             rows = self._forecast[k + 1 : k + 1 + len(expected)]
             rows[:] = expected[: len(rows)]
 

@@ -10,13 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
-from ddpc_cosim.controller import Charge, Controller, Loop, Recording
+from ddpc_cosim.controller import Controller, Loop, Recording
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.durations import shown
-from ddpc_cosim.loop.outlook import Expected, Limit, Limits, Outlook, Wanted, Wish, table_widths
+from ddpc_cosim.loop.disturbances import ActingDisturbances
+from ddpc_cosim.loop.outlook import Limit, Limits, Outlook, Wanted, Wish, table_widths
 from ddpc_cosim.loop.plant_control import PlantControl
+from ddpc_cosim.loop.prices import ChargedSignals
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.signals.disturbances import Forecasts, KnownDisturbance, RunTimes, is_foretelling
+from ddpc_cosim.signals.disturbances import KnownDisturbance
 from ddpc_cosim.signals.excitations import Excitation
 from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import (
@@ -26,19 +28,13 @@ from ddpc_cosim.signals.signals import (
     ParameterChange,
     Reference,
     SignalFromFile,
-    in_unit_of,
-    values_at,
 )
-from ddpc_cosim.variables import FloatArray, Variable, names
-from fmu_plants.spelling import did_you_mean
+from ddpc_cosim.variables import FloatArray, Variable, names, unknown_names
 
 MOST_STEPS = 100_000_000
-_NOTHING: FloatArray = np.empty(0)
-# Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions.
-CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
-_FORECAST_STREAM, WARM_UP_STREAM = 10, 11
-_MOST_ISSUES = 5
-"""Moments of a run whose forecasts are kept with its samples."""
+# Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
+# forecasts of disturbances.
+CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM, WARM_UP_STREAM = 0, 1, 2, 11
 
 
 def check_sampling_time(sampling_time: float) -> None:
@@ -119,12 +115,8 @@ def late_error(time: float, end: float) -> str:
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
     """Raise ConfigError for every given name that is not among the known variables."""
-    if faults := _unknown(what, given, names(known)):
+    if faults := unknown_names(what, given, names(known)):
         raise ConfigError(faults)
-
-
-def _unknown(what: str, given: Iterable[str], known: Sequence[str]) -> list[str]:
-    return [f'{what}: no signal "{name}"; {did_you_mean(name, known)}' for name in given if name not in known]
 
 
 def excitation_table(excitation: Excitation, inputs: int) -> FloatArray:
@@ -218,8 +210,16 @@ class LoopSetup:
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
         self.measurements = tuple(plant.outputs[i] for i in self._measured)
-        self._declared = disturbances or {}
-        conditions = self._with_disturbances(conditions or Conditions(), recorded_disturbances or {})
+        self.disturbances = ActingDisturbances(
+            disturbances or {},
+            recorded_disturbances or {},
+            plant,
+            conditions or Conditions(),
+            sampling_time,
+            seed,
+            forecast_horizon,
+        )
+        conditions = self.disturbances.conditions
         if open_loop:
             resting = {variable.name: Constant(variable.start) for variable in plant.inputs}
             conditions = replace(conditions, inputs={**resting, **conditions.inputs})
@@ -236,104 +236,13 @@ class LoopSetup:
         self._is_left = self._is_driven & np.array([name in self._switches for name in given], dtype=bool)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
-        self._set_up_disturbances(forecast_horizon)
-        self._set_up_prices(prices or {})
+        seen = (*self.inputs, *self.outputs, *self.measurements, *self.disturbances.inputs)
+        self.charged = ChargedSignals(prices or {}, plant, seen, self._is_left)
         self._check_conditions(conditions)
         self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
         deviation = self._deviations(noise.standard_deviation if noise else {})
         rng = self._stream(NOISE_STREAM)
-        self._sensors = Sensors(self._sensed, deviation, conditions, sampling_time, seed, rng)
-
-    def _with_disturbances(self, conditions: Conditions, recorded: Mapping[str, Reference]) -> Conditions:
-        """Return conditions in which the disturbances that are inputs of the plant have their signals."""
-        inputs, declared = names(self.plant.inputs), self._declared
-        known = (*inputs, *names(self.plant.outputs))
-        faults = _unknown("disturbances", declared, known) + _unknown(
-            "recorded_disturbances", recorded, inputs
-        )
-        signals = {
-            name: disturbance.signal
-            for name, disturbance in declared.items()
-            if name in inputs and disturbance.signal is not None
-        }
-        faults += [
-            f"disturbances: {name} has no signal; needed: its course, as no controller drives this input"
-            for name in declared
-            if name in inputs and name not in signals and name not in conditions.inputs
-        ]
-        faults += [
-            f"disturbances: {name} is an output; what it will be is needed for its forecasts: give it a "
-            'signal, a file of forecasts, or known = "measured"'
-            for name, disturbance in declared.items()
-            if name not in inputs and disturbance.is_foretold and disturbance.signal is None
-        ]
-        faults += [
-            f"recorded_disturbances: {name} is not among the disturbances"
-            for name in recorded
-            if name not in declared
-        ]
-        if faults:
-            raise ConfigError(faults)
-        if not declared:
-            return conditions
-        return replace(
-            conditions,
-            inputs={**conditions.inputs, **signals},
-            recorded_inputs={**conditions.recorded_inputs, **recorded},
-        )
-
-    def _set_up_disturbances(self, forecast_horizon: int | None) -> None:
-        """Find where the declared disturbances are measured: at outputs, or at inputs, which come after."""
-        inputs = {variable.name: variable for variable in self.plant.inputs}
-        self._measured_inputs = tuple(inputs[name] for name in self._declared if name in inputs)
-        self._sensed = (*self.plant.outputs, *self._measured_inputs)
-        places = {variable.name: i for i, variable in reversed(list(enumerate(self._sensed)))}
-        places |= {v.name: len(self.plant.outputs) + i for i, v in enumerate(self._measured_inputs)}
-        self._d = np.array([places[name] for name in self._declared], dtype=np.intp)
-        self._lags = [disturbance.lag for disturbance in self._declared.values()]
-        self.acting = tuple(self._declared)
-        self.known = np.array([disturbance.is_known for disturbance in self._declared.values()], dtype=bool)
-        self.disturbances = tuple(
-            self._sensed[place] for place, is_known in zip(self._d, self.known, strict=True) if is_known
-        )
-        self._forecast_horizon = forecast_horizon
-
-    def _set_up_prices(self, prices: Mapping[str, Price]) -> None:
-        """Find what the charged signals are, and what they cost but for the price."""
-        self.prices = prices
-        inputs = {v.name: i for i, v in enumerate(self.plant.inputs)}
-        outputs = {v.name: i for i, v in enumerate(self.plant.outputs)}
-        seen = {
-            *names(self.inputs),
-            *names(self.outputs),
-            *names(self.measurements),
-            *names(self._measured_inputs),
-        }
-        faults, charges = list[str](), list[Charge]()
-        self._charged = list[tuple[bool, int]]()
-        for name, price in prices.items():
-            if price.signal not in seen and price.signal not in inputs:
-                what = "is not measured" if price.signal in outputs else "is not a signal of the plant"
-                needed = did_you_mean(price.signal, sorted(seen))
-                faults.append(
-                    f"prices: {name}: {price.signal} {what}; needed: an input or a measurement; {needed}"
-                )
-                continue
-            is_input = price.signal in inputs
-            place = inputs[price.signal] if is_input else outputs[price.signal]
-            try:
-                variable = (self.plant.inputs if is_input else self.plant.outputs)[place]
-                charges.append(price.charge(name, variable))
-                self._charged.append((is_input, place))
-            except ConfigError as error:
-                faults += [f"prices: {name}: {fault}" for fault in error.faults]
-        money = {charge.unit: charge.name for charge in charges}
-        if len(money) > 1:
-            listed = ", ".join(f"{name} in {unit}" for unit, name in money.items())
-            faults.append(f"prices: {listed}; needed: all in one money, as what is paid is added up")
-        if faults:
-            raise ConfigError(faults)
-        self.charges = tuple(charges)
+        self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, rng)
 
     @property
     def rest(self) -> FloatArray:
@@ -350,7 +259,8 @@ class LoopSetup:
     def table_widths(self, wanted: Wanted) -> dict[str, int]:
         """Return how many columns the further tables of a run have."""
         sizes = len(self.inputs), len(self.outputs)
-        return table_widths(self._declared, wanted, self._given_bounds, self.prices, *sizes)
+        declared, prices = self.disturbances.declared, self.charged.prices
+        return table_widths(declared, wanted, self._given_bounds, prices, *sizes)
 
     def _stream(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._seed, number])
@@ -360,7 +270,7 @@ class LoopSetup:
         check_names("noise", given, self._noisy)
         deviations = np.zeros(int(max((*self._outputs, *self._measured), default=-1)) + 1)
         places = dict(zip(names(self.measurements), self._measured.tolist(), strict=True))
-        places |= dict(zip(self._declared, self._d.tolist(), strict=True))
+        places |= dict(zip(self.disturbances.declared, self.disturbances.places.tolist(), strict=True))
         for name, deviation in given.items():
             if places[name] >= len(deviations):
                 deviations = np.pad(deviations, (0, places[name] + 1 - len(deviations)))
@@ -370,13 +280,15 @@ class LoopSetup:
     @property
     def _noisy(self) -> tuple[Variable, ...]:
         """What is measured: outputs, and inputs that are known disturbances."""
-        return tuple(dict.fromkeys((*self.measurements, *(self._sensed[place] for place in self._d))))
+        disturbances = self.disturbances
+        measured = (disturbances.sensed[place] for place in disturbances.places)
+        return tuple(dict.fromkeys((*self.measurements, *measured)))
 
     def _check_conditions(self, conditions: Conditions) -> None:
         known = may_have(*map(names, (self.inputs, self.outputs, self._noisy, self.plant.inputs)))
         faults = []
         for key, (_, signals) in known.items():
-            faults += _unknown(key, getattr(conditions, key), signals)
+            faults += unknown_names(key, getattr(conditions, key), signals)
         if not self.inputs and not self._open_loop:
             faults.append("inputs: every input of the plant has a signal; leave one to the controller")
         faults += [
@@ -415,37 +327,17 @@ class LoopSetup:
             f"conditions: {key} of {name}: {fault}"
             for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
-        faults += self._gaps(whole, in_experiment=in_experiment)
+        signals = self.disturbances.signals | ({} if in_experiment else self.charged.signals)
+        faults += _gaps(signals, float(whole[0]), float(whole[-1]))
         if faults:
             raise ConfigError(faults)
         self.actuators.start(whole, ahead=ahead, in_experiment=in_experiment, continues=continues)
-        if self._measured_inputs:
-            self._courses = np.column_stack([self.actuators.course(v.name) for v in self._measured_inputs])
-        if not continues:
-            self._past_d = list[FloatArray]()
+        self.disturbances.start(self.actuators, continues=continues)
         self._sensors.start(time, in_experiment=in_experiment, continues=continues)
 
     def hand_over(self, *, accepts_missing: bool) -> None:
         """Go on with a controller that is shown NaN for a lost measurement, or the last one that arrived."""
         self._sensors.holds = not accepts_missing
-
-    def _gaps(self, time: FloatArray, *, in_experiment: bool) -> Iterator[str]:
-        """Yield which files do not tell disturbances and prices over all of a run, forecasts included."""
-        conditions = self._conditions
-        signals: dict[str, float | Reference] = {
-            f"disturbances: {name}": signal
-            for name in self._declared
-            for signal in (
-                conditions.recorded_inputs.get(name) if in_experiment else None,
-                conditions.inputs.get(name),
-            )
-            if signal is not None
-        }
-        signals |= {} if in_experiment else {f"prices: {name}": p.price for name, p in self.prices.items()}
-        first, last = float(time[0]), float(time[-1])
-        for what, signal in signals.items():
-            if isinstance(signal, SignalFromFile) and (gap := signal.gap(first, last)):
-                yield f"{what}: {gap}"
 
     @property
     def has_switches(self) -> bool:
@@ -476,111 +368,10 @@ class LoopSetup:
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
-        if self._measured_inputs:
-            y_plant = np.concatenate([y_plant, self._courses[k]])
-        y = self._sensors.disturb(k, y_plant)
+        y = self._sensors.disturb(k, self.disturbances.with_inputs(k, y_plant))
         seen, status = self._sensors.measure(k, y)
-        d = self._measured_disturbances(y, seen) if self._d.size else _NOTHING
+        d = self.disturbances.measured(y, seen)
         return Measured(y[self._outputs], seen[self._outputs], seen[self._measured], status, d, y)
-
-    def _measured_disturbances(self, y: FloatArray, seen: FloatArray) -> FloatArray:
-        """Return the disturbances as measured, the last value in place of one that is missing, or late."""
-        past, now = self._past_d, seen[self._d]
-        before = past[-1] if past else y[self._d]
-        past.append(np.where(np.isnan(now), before, now))
-        del past[: -1 - max(self._lags)]
-        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
-
-    def charged(self, controller: Controller, applied: FloatArray, all_outputs: FloatArray) -> FloatArray:
-        """Return what the plant has of the charged signals, given all its inputs and outputs.
-
-        Of inputs that are left to the plant, it is not known.
-        """
-        if isinstance(controller, PlantControl):
-            applied = np.where(self._is_left, np.nan, applied)
-        return np.array([applied[i] if is_input else all_outputs[i] for is_input, i in self._charged])
-
-    def issues(self, horizon: int, samples: int) -> range:
-        """Return at which samples of a run the forecast is kept: a few, so far apart that none overlap."""
-        longest = horizon if self._forecast_horizon is None else self._forecast_horizon
-        return range(0, samples, max(longest + 1, -(-samples // _MOST_ISSUES)))
-
-    def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return prices and emissions per amount at times [s], both of shape (len(time), n_prices)."""
-        tables = np.empty((2, len(time), len(self.prices)))
-        for i, (name, price) in enumerate(self.prices.items()):
-            tables[:, :, i] = price.over(name, time)
-        tables.setflags(write=False)
-        return tables[0], tables[1]
-
-    def expected(self, time: FloatArray, first: int, samples: int, *, is_before: bool) -> Expected:
-        """Return what is expected of the disturbances at the samples of a run that has been started.
-
-        Parameters
-        ----------
-        time : array, shape (N,)
-            From the first sample that controllers see on [s], horizon included.
-        first : int
-            Its number among those of the run.
-        samples : int
-            Number of samples of the run from there on.
-        is_before : bool
-            It is an experiment or a warm-up, which files of forecasts need not tell: there they are not used.
-        """
-        times = RunTimes(float(time[0]), self.sampling_time, samples)
-        ahead = len(time) - samples
-        longest = ahead if self._forecast_horizon is None else self._forecast_horizon
-        truth = np.full((len(time), len(self.disturbances)), np.nan)
-        forecasts, lags = list[Forecasts | None](), list[int]()
-        for i, variable in enumerate(self.disturbances):
-            disturbance = self._declared[variable.name]
-            if variable in self._measured_inputs:
-                course = self.actuators.course(variable.name)[first : first + len(time)]
-                truth[: len(course), i] = course
-            elif disturbance.signal is not None:
-                signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
-                truth[:, i] = values_at(signal, what, time)
-            lags.append(disturbance.lag)
-            if is_before and disturbance.forecast is not None:
-                forecasts.append(None)
-                continue
-            seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
-            rng = np.random.default_rng(seed)
-            forecasts.append(disturbance.forecasts(variable, truth[:, i], times, longest, rng))
-        return Expected(forecasts, lags, truth)
-
-    @property
-    def has_disturbances(self) -> bool:
-        """Whether there are known disturbances, which not every scenario tells controllers."""
-        return bool(self._declared)
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether what comes after the run is needed for forecasts."""
-        return any(disturbance.is_foretold for disturbance in self._declared.values())
-
-    def check_unseen(self, experiment: tuple[float, float], run: tuple[float, float]) -> None:
-        """Raise ConfigError for disturbances of which an experiment has what is to come in the run.
-
-        Parameters
-        ----------
-        experiment, run : (float, float)
-            Begin and end of both [s].
-        """
-        overlap = min(experiment[1], run[1]) - max(experiment[0], run[0])
-        if overlap <= 1e-6 * self.sampling_time:
-            return
-        conditions = self._conditions
-        seen = [
-            name
-            for name in names(self._measured_inputs)
-            if name not in conditions.recorded_inputs and is_foretelling(conditions.inputs[name])
-        ]
-        if seen:
-            when = f"from t = {shown(experiment[0])} to {shown(experiment[1])}, the run from {shown(run[0])}"
-            remedy = "let it end before, by recording_start, or give recorded_disturbances"
-            what = f"the experiment has the run's own course: it is {when}; {remedy}"
-            raise ConfigError([f"disturbances: {name}: {what}" for name in seen])
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""
@@ -606,9 +397,9 @@ class LoopSetup:
         is_before: bool = False,
     ) -> Outlook:
         """Return what a controller may look at in a run that has been started; parameters as there."""
-        price, _ = self.prices_at(time)
-        expected = self.expected(time, first, samples, is_before=is_before)
-        return Outlook(wish, limits, self.charges, price, expected, horizon, preview)
+        price, _ = self.charged.prices_at(time)
+        expected = self.disturbances.expected(time, first, samples, is_before=is_before)
+        return Outlook(wish, limits, self.charged.charges, price, expected, horizon, preview)
 
     def wanted(self, reference: Reference | Band | Wanted) -> Wanted:
         """Return references by the names of the controlled outputs.
@@ -656,10 +447,10 @@ class LoopSetup:
             rng=self._stream(stream),
             preview=self.preview_of(horizon),
             continues_recording=continues,
-            disturbances=self.disturbances,
+            disturbances=self.disturbances.told,
             bands=tuple(compress(names(self.outputs), is_band)),
             moving_limits=limits.moving,
-            charges=self.charges,
+            charges=self.charged.charges,
             past=past and self._protected(past),
         )
 
@@ -670,7 +461,7 @@ class LoopSetup:
     def _protected(self, recording: Recording) -> Recording:
         """Return a recording that a controller can only read, of the disturbances that it is told."""
         tables = {key: getattr(recording, key).view() for key in ("u", "y", "measured")}
-        tables["d"] = recording.d[:, self.known]
+        tables["d"] = recording.d[:, self.disturbances.is_told]
         for table in tables.values():
             table.setflags(write=False)
         return replace(recording, **tables)
@@ -680,7 +471,7 @@ class LoopSetup:
             "inputs": (recording.u.shape[1], len(self.inputs)),
             "controlled outputs": (recording.y.shape[1], len(self.outputs)),
             "measurements": (recording.measured.shape[1], len(self.measurements)),
-            "disturbances": (recording.d.shape[1], len(self._declared)),
+            "disturbances": (recording.d.shape[1], len(self.disturbances.declared)),
         }
         faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
         if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
@@ -718,6 +509,13 @@ def _checked_bounds(
     if faults:
         raise ConfigError(faults)
     return given
+
+
+def _gaps(signals: Mapping[str, float | Reference], first: float, last: float) -> Iterator[str]:
+    """Yield which files do not tell signals from a first time to a last [s]."""
+    for what, signal in signals.items():
+        if isinstance(signal, SignalFromFile) and (gap := signal.gap(first, last)):
+            yield f"{what}: {gap}"
 
 
 def _is_moving(pair: Any) -> bool:
