@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
 from ddpc_cosim.loop.data_quality import CANNOT_FOLLOW, references_beyond_limits
-from ddpc_cosim.metrics import split_key
+from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.verdicts.sentences import (
     ahead_in_pairs_clause,
     bold,
@@ -220,7 +220,7 @@ def _is_cost(key: str) -> bool:
 
 
 def _topic(key: str) -> str:
-    return "Cost" if _is_cost(key) else "Tracking"
+    return metric_of(key).label if _is_cost(key) else "Tracking"
 
 
 def _signal(condition: Condition, key: str, keys: Sequence[str]) -> str:

@@ -136,7 +136,17 @@ def _front(findings: Findings, controllers: Labels, over: str, show: Show) -> Ma
         )
         for leader, words in praise.items()
     ]
-    return Markup("{} are not dominated {}: {}").format(who, over, Markup(", ").join(parts))
+    text = Markup("{} are not dominated {}: {}").format(who, over, Markup(", ").join(parts))
+    if not (other := findings.following):
+        return text
+    gains = []
+    for leader in praise:
+        costs, comfort = _differences(ranking, leader, other, show)
+        gains.append(Markup("{} costs {} {}").format(italic(controllers[leader]), costs, comfort))
+    against = Markup("; against {}, the cheapest of the next front ({}), in pairs of the same seed {}")
+    return text + against.format(
+        italic(controllers[other]), _figures(findings, other, show), join_words(gains)
+    )
 
 
 def _figures(findings: Findings, name: str, show: Show) -> str:
@@ -150,14 +160,18 @@ def _cheaper(findings: Findings, controllers: Labels, over: str, show: Show) -> 
     """Say how much less than the next one costs, and at how much more or less discomfort."""
     ranking, (first, *_), other = findings.standings, findings.leaders, findings.following
     name = (bold if findings.is_sure else italic)(controllers[first])
-    costs = _against(ranking, ranking.keys[0], first, other, show)
+    costs, comfort = _differences(ranking, first, other, show)
+    return Markup("{} costs {} than {} {} {}").format(name, costs, italic(controllers[other]), comfort, over)
+
+
+def _differences(ranking: Standings, first: str, other: str, show: Show) -> tuple[str, str]:
+    """Write by how much less than another the first costs, and at how much more or less discomfort."""
     comfort = [_discomfort(ranking, key, first, other, show) for key in ranking.discomforts]
     none_is_more = [text for text in comfort if text.startswith("at no more ")]
     if len(none_is_more) == len(comfort) > 1:
         comfort = ["at no more discomfort"]
-    return Markup("{} costs {} than {} {} {}").format(
-        name, costs or "no more", italic(controllers[other]), join_words(comfort), over
-    )
+    costs = _against(ranking, ranking.keys[0], first, other, show)
+    return costs or "no more", join_words(comfort)
 
 
 def _discomfort(ranking: Standings, key: str, first: str, other: str, show: Show) -> str:
