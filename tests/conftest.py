@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,7 +24,33 @@ def pytest_configure(config: pytest.Config) -> None:
     # The cores belong to the workers of the run, started after this, not to threads of BLAS.
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    if config.getoption("numprocesses", None) and "PYTHONPYCACHEPREFIX" not in os.environ:
+        _compile_once(config)
     config.addinivalue_line("markers", "slow: takes half a minute; only run by `-m slow`")
+
+
+COMPILE = """
+import contextlib, importlib, pkgutil
+for package in ("fmu_plants", "ddpc_cosim", "ddpc_controllers", "ddpc_reports"):
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        if not module.name.endswith("__main__"):
+            with contextlib.suppress(Exception):  # tests say what is wrong with it
+                importlib.import_module(module.name)
+"""
+
+
+def _compile_once(config: pytest.Config) -> None:
+    """Where no bytecode is written, keep that of the packages: hundreds of processes would compile them.
+
+    The processes of the tests read it, and write none: a module that a test writes anew is never an old one.
+    """
+    writing = dict(os.environ)
+    if not writing.pop("PYTHONDONTWRITEBYTECODE", ""):
+        return
+    folder = tempfile.TemporaryDirectory(prefix="ddpc-cosim-bytecode-", ignore_cleanup_errors=True)
+    config.add_cleanup(folder.cleanup)
+    os.environ["PYTHONPYCACHEPREFIX"] = writing["PYTHONPYCACHEPREFIX"] = folder.name
+    subprocess.run([sys.executable, "-c", COMPILE], env=writing, check=True)
 
 
 @pytest.fixture(scope="session", autouse=True)
