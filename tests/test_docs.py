@@ -26,11 +26,14 @@ STUDIES = sorted((ROOT / "ddpc_cosim" / "studies").glob("*.toml"))
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 ROOMS = ("fmu_plants", "ddpc_cosim", "controllers", "reports", "tests", "docs", "benchmarks")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OF_THE_BENCHMARK = 'extends = "benchmark"'
 
 
 def blocks(language: str) -> list[object]:
     return [
-        pytest.param(code, id=f"{page.name}-{number}")
+        pytest.param(
+            code, id=f"{page.name}-{number}", marks=[pytest.mark.slow] if OF_THE_BENCHMARK in code else []
+        )
         for page in PAGES
         for number, (kind, code) in enumerate(BLOCK.findall(page.read_text(encoding="utf-8")))
         if kind == language
@@ -110,7 +113,7 @@ def test_studies_run(text: str, empty_folder: Path) -> None:
     for name in re.findall(r'^fmu = "(\w+)\.fmu"', text, re.MULTILINE):
         assert CliRunner().invoke(main, ["export", name.replace("_", "-")]).exit_code == 0
     assert read_study(str(study)).problems
-    only = ["--only", "mine"] if 'extends = "benchmark"' in text else []  # not all of its 840 cases
+    only = ["--only", "mine"] if OF_THE_BENCHMARK in text else []  # not all of its 840 cases
     command = ["run", str(study), "--jobs", "1", "--no-report", "--seeds", "0", *only]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output

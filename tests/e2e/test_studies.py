@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("studies")
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
 ELSEWHERE = ("benchmark", "forecast", "paper")  # have tests of their own
-LONG = ("noise", "time-varying")
+LONG = ("noise", "prices", "time-varying")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in sorted(path.stem for path in STUDIES.glob("*.toml"))
