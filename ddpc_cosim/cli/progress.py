@@ -86,7 +86,7 @@ class LineProgress:
     """
 
     def __init__(self, stream: TextIO, text: str = "preparing") -> None:
-        self._stream, self._text = stream, text
+        self._stream, self._text, self._said = stream, text, ""
         self._over, self._thread = Event(), Thread(target=self._go_on, daemon=True)
         self._cases = _Cases()
 
@@ -108,14 +108,14 @@ class LineProgress:
     def prepare(self, what: str) -> None:
         """Say what is done before the cases."""
         self._text = what
-        self._say(what)
+        self._say()
 
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""
         self._cases.start(total)
         noun = "case" if total == 1 else "cases"
         self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
-        self._say(self._text)
+        self._say()
 
     def drop(self, cases: int) -> None:
         """Take note that so many are not to be run any more."""
@@ -131,15 +131,18 @@ class LineProgress:
         self._cases.finished(case, result)
         self._text = f"{self._cases.counts}last: {case.name}"
         if self._cases.done == self._cases.total:
-            self._say(self._text)
+            self._say()
 
     def _go_on(self) -> None:
         begin = monotonic()
         while not self._over.wait(max(_SECONDS_BETWEEN_LINES, _PART * (monotonic() - begin))):
-            self._say(f"{monotonic() - begin:.0f} s: {self._text}")
+            self._say(f"{monotonic() - begin:.0f} s: ")
 
-    def _say(self, line: str) -> None:
-        print(printable(line), file=self._stream, flush=True)
+    def _say(self, since: str = "") -> None:
+        """Write what is being done, unless that was the last line."""
+        if self._text != self._said:
+            self._said = text = self._text
+            print(printable(f"{since}{text}"), file=self._stream, flush=True)
 
 
 class TerminalProgress:
