@@ -39,7 +39,8 @@ def _usage_errors_in_our_words() -> Iterator[None]:
         yield
     except click.UsageError as error:
         if isinstance(error, click.NoSuchOption) and error.possibilities:
-            error.possibilities = [nearest(error.option_name, error.possibilities) or error.possibilities[0]]
+            name, given = error.option_name, error.possibilities
+            error = click.NoSuchOption(name, possibilities=[nearest(name, given) or given[0]], ctx=error.ctx)
         _complain(error.format_message())
         if error.ctx is not None:
             say(f"  {error.ctx.get_usage()}; {error.ctx.command_path} --help says more", err=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.files.texts import alike, printable
@@ -142,7 +142,10 @@ class LineProgress:
         """Write what is being done, unless that was the last line."""
         if self._text != self._said:
             self._said = text = self._text
-            print(printable(f"{since}{text}"), file=self._stream, flush=True)
+            self._write(printable(f"{since}{text}"))
+
+    def _write(self, line: str) -> None:
+        print(line, file=self._stream, flush=True)
 
 
 class TerminalProgress:
@@ -226,9 +229,28 @@ class TerminalProgress:
             self._progress.console.print(line, markup=False)
 
 
+class NotebookProgress(LineProgress):
+    """What is being done: one line of a notebook, which is written over, and is gone at the end."""
+
+    def __init__(self, text: str = "preparing") -> None:
+        super().__init__(sys.stderr, text)
+        self._width = 0
+
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
+        print("\r" + " " * self._width, end="\r", file=self._stream, flush=True)
+
+    def _write(self, line: str) -> None:
+        print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
+        self._width = len(line)
+
+
 def display(text: str) -> LineProgress | TerminalProgress:
     """Return a display of long work on stderr, with a text to begin with."""
-    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
+    if sys.stderr.isatty():
+        return TerminalProgress(text)
+    in_notebook = "ipykernel" in sys.modules
+    return NotebookProgress(text) if in_notebook else LineProgress(sys.stderr, text)
 
 
 @contextmanager
