@@ -16,6 +16,7 @@ class Comparison(pd.DataFrame):
     Whatever is made of it, such as by choosing columns, is a plain DataFrame.
     """
 
+    title: str
     _metadata: ClassVar = ["title"]
 
     @classmethod

@@ -543,17 +543,15 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
                 names |= {"low": "difference_low", "high": "difference_high"}
                 row |= {names.get(key, key): value for key, value in difference._asdict().items()}
                 row["told_apart"] = difference.told_apart
-            row["verdict"] = _verdict(
-                differences.get(name), len(controller_runs), int(failed[name]), reasons.get(name, "")
-            )
+            all_failed = int(failed[name]) == len(controller_runs)
+            reason = f"failed: {reasons.get(name, '')}".removesuffix(": ") if all_failed else ""
+            row["verdict"] = reason or _verdict(differences.get(name))
             rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _verdict(difference: Difference | None, runs: int, failed: int, reason: str) -> str:
+def _verdict(difference: Difference | None) -> str:
     """Say in a few words what the pairs tell of a controller against the baseline."""
-    if failed == runs:
-        return ": ".join(filter(None, ("failed", reason)))
     if difference is None:
         return "baseline"
     if difference.told_apart:
