@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 from ddpc_cosim import ConfigError, Picture, StudyResults, Trace
 from ddpc_cosim.files.tables import Table
-from ddpc_cosim.files.texts import clipped
+from ddpc_cosim.files.texts import clipped, printable
+from ddpc_cosim.plugins import did_you_mean
 from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.embedding import drawing, rows_of, stylesheet
 from ddpc_reports.figures.charts import Spec, colour, dash
@@ -21,7 +22,6 @@ from ddpc_reports.figures.samples import levels
 from ddpc_reports.figures.signal import BAND, Column, Signal
 from ddpc_reports.figures.time_charts import WIDE, time_chart
 from ddpc_reports.tables.ranking import ranking_table
-from fmu_plants.spelling import did_you_mean
 
 _COLOUR = re.compile(r"var\((--[\w-]+)\)")
 _LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
@@ -82,7 +82,7 @@ def stacked(title: str, drawings: Iterable[tuple[str, str]], legend: Sequence[Li
 
 
 def _text(x: float, y: float, text: str, size: int) -> str:
-    words = html.escape(text)
+    words = html.escape(printable(text))
     return f'<text x="{x:g}" y="{y:g}" {_FONT} font-size="{size}" fill="var(--ink)">{words}</text>'
 
 
@@ -129,7 +129,7 @@ def of_traces(traces: Mapping[str, Trace]) -> Picture:
         if not trace.completed
     ]
     what = ", ".join(filter(None, traces)) or f"{', '.join(kind[1])} over time"
-    title = clipped("; ".join(ended) or what, 160)
+    title = clipped(printable("; ".join(ended) or what), 160)
     columns = {f"c{i}": trace for i, trace in enumerate(traces.values()) if len(trace)}
     if not columns:
         return Picture(title, stacked(title, []))

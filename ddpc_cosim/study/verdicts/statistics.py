@@ -536,16 +536,16 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
             reasons = {str(name): str(texts.iloc[0]) for name, texts in of_failed}
         for name, controller_runs in runs.items():
             row = {"problem": problem, "controller": name, "failed": int(failed[name])}
-            row["reason"] = reasons.get(name, "")
+            all_failed = row["failed"] == len(controller_runs)
+            reason = row["reason"] = reasons.get(name, "")
+            failure = ": ".join(filter(None, ("failed", reason))) if all_failed else ""
+            row["verdict"] = failure or _verdict(differences.get(name))
             row |= describe(controller_runs)._asdict()
             if difference := differences.get(name):
                 names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
                 names |= {"low": "difference_low", "high": "difference_high"}
                 row |= {names.get(key, key): value for key, value in difference._asdict().items()}
                 row["told_apart"] = difference.told_apart
-            all_failed = int(failed[name]) == len(controller_runs)
-            reason = f"failed: {reasons.get(name, '')}".removesuffix(": ") if all_failed else ""
-            row["verdict"] = reason or _verdict(differences.get(name))
             rows.append(row)
     return pd.DataFrame(rows)
 
