@@ -24,7 +24,7 @@ from typing import Any
 
 from ddpc_cosim.errors import PluginError
 from fmu_plants.files import cached as cached, write_atomically as write_atomically  # for plug-ins
-from fmu_plants.spelling import did_you_mean
+from fmu_plants.spelling import did_you_mean as did_you_mean
 
 KINDS = ("plants", "controllers", "studies", "metrics", "conditions", "reports")
 

@@ -9,7 +9,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import altair
 from docutils import nodes
 from math_core import LatexToMathML
 from sphinx.application import Sphinx
@@ -18,6 +17,7 @@ from sphinx.writers.html5 import HTML5Translator
 from sphinx_gallery.scrapers import figure_rst
 
 import ddpc_cosim
+from ddpc_cosim import Picture
 
 project = "ddpc-cosim"
 author = "the ddpc-cosim developers"
@@ -49,7 +49,7 @@ numpydoc_validation_checks = {"GL06", "GL07", "PR02", "PR10", "YD01"}  # names o
 def save_chart(block: object, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
     """Keep the chart that a cell of an example ends with."""
     chart = block_vars["example_globals"].get("___")
-    if not isinstance(chart, altair.TopLevelMixin):
+    if not isinstance(chart, Picture):
         return ""
     block_vars["example_globals"]["___"] = None  # later cells have figures of their own
     path = next(block_vars["image_path_iterator"]).replace(".png", ".svg")
@@ -60,7 +60,7 @@ def save_chart(block: object, block_vars: dict[str, Any], gallery_conf: dict[str
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "generated/examples",
-    "ignore_repr_types": "altair|NoneType",
+    "ignore_repr_types": "ddpc_cosim|NoneType",
     "filename_pattern": r"\.py$",  # run them all
     "image_scrapers": (save_chart,),
     "reset_modules": (),

@@ -18,9 +18,10 @@ import click
 
 from ddpc_cosim.cli import commands
 from ddpc_cosim.cli.ending import reporting_requests_to_end
-from ddpc_cosim.cli.output import harmless, open_streams, say
+from ddpc_cosim.cli.output import open_streams, say
 from ddpc_cosim.errors import CosimError, is_of_usage
 from ddpc_cosim.processes.requests import orderly_end
+from fmu_plants.spelling import nearest
 
 _STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO)
 _FAILED, _MISUSED = 1, 2
@@ -32,15 +33,18 @@ def _complain(error: str) -> None:
 
 
 @contextmanager
-def _harmless_usage_errors() -> Iterator[None]:
-    """Write out in click's own messages, too, what would act on a terminal."""
+def _usage_errors_in_our_words() -> Iterator[None]:
+    """Report what click finds wrong as any other error, and exit."""
     try:
         yield
     except click.UsageError as error:
-        words = f"Error: {error.format_message()}"
-        if (shown := harmless(words, err=True, keep="\n")) == words:
-            raise
-        raise click.UsageError(shown.removeprefix("Error: "), error.ctx) from None
+        if isinstance(error, click.NoSuchOption) and error.possibilities:
+            name, given = error.option_name, error.possibilities
+            error = click.NoSuchOption(name, possibilities=[nearest(name, given) or given[0]], ctx=error.ctx)
+        _complain(error.format_message())
+        if error.ctx is not None:
+            say(f"  {error.ctx.get_usage()}; {error.ctx.command_path} --help says more", err=True)
+        sys.exit(_MISUSED)
 
 
 class _Commands(UserDict[str, Any]):
@@ -73,7 +77,7 @@ class _Group(click.Group):
 
     def make_context(self, *arguments: Any, **more: Any) -> click.Context:
         """Parse what stands before the command."""
-        with reporting_requests_to_end(), _harmless_usage_errors():
+        with reporting_requests_to_end(), _usage_errors_in_our_words():
             return super().make_context(*arguments, **more)
 
     def invoke(self, context: click.Context) -> NoReturn:
@@ -81,7 +85,7 @@ class _Group(click.Group):
         with reporting_requests_to_end():
             open_streams()
             try:
-                with reporting_requests_to_end(), _harmless_usage_errors():
+                with reporting_requests_to_end(), _usage_errors_in_our_words():
                     sys.exit(super().invoke(context))
             except CosimError as error:
                 for fault in getattr(error, "faults", (str(error),)):

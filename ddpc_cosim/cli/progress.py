@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.files.texts import alike, printable
@@ -86,7 +86,7 @@ class LineProgress:
     """
 
     def __init__(self, stream: TextIO, text: str = "preparing") -> None:
-        self._stream, self._text = stream, text
+        self._stream, self._text, self._said = stream, text, ""
         self._over, self._thread = Event(), Thread(target=self._go_on, daemon=True)
         self._cases = _Cases()
 
@@ -108,14 +108,14 @@ class LineProgress:
     def prepare(self, what: str) -> None:
         """Say what is done before the cases."""
         self._text = what
-        self._say(what)
+        self._say()
 
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""
         self._cases.start(total)
         noun = "case" if total == 1 else "cases"
         self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
-        self._say(self._text)
+        self._say()
 
     def drop(self, cases: int) -> None:
         """Take note that so many are not to be run any more."""
@@ -131,15 +131,21 @@ class LineProgress:
         self._cases.finished(case, result)
         self._text = f"{self._cases.counts}last: {case.name}"
         if self._cases.done == self._cases.total:
-            self._say(self._text)
+            self._say()
 
     def _go_on(self) -> None:
         begin = monotonic()
         while not self._over.wait(max(_SECONDS_BETWEEN_LINES, _PART * (monotonic() - begin))):
-            self._say(f"{monotonic() - begin:.0f} s: {self._text}")
+            self._say(f"{monotonic() - begin:.0f} s: ")
 
-    def _say(self, line: str) -> None:
-        print(printable(line), file=self._stream, flush=True)
+    def _say(self, since: str = "") -> None:
+        """Write what is being done, unless that was the last line."""
+        if self._text != self._said:
+            self._said = text = self._text
+            self._write(printable(f"{since}{text}"))
+
+    def _write(self, line: str) -> None:
+        print(line, file=self._stream, flush=True)
 
 
 class TerminalProgress:
@@ -223,9 +229,28 @@ class TerminalProgress:
             self._progress.console.print(line, markup=False)
 
 
+class NotebookProgress(LineProgress):
+    """What is being done: one line of a notebook, which is written over, and is gone at the end."""
+
+    def __init__(self, text: str = "preparing") -> None:
+        super().__init__(sys.stderr, text)
+        self._width = 0
+
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
+        print("\r" + " " * self._width, end="\r", file=self._stream, flush=True)
+
+    def _write(self, line: str) -> None:
+        print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
+        self._width = len(line)
+
+
 def display(text: str) -> LineProgress | TerminalProgress:
     """Return a display of long work on stderr, with a text to begin with."""
-    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
+    if sys.stderr.isatty():
+        return TerminalProgress(text)
+    in_notebook = "ipykernel" in sys.modules
+    return NotebookProgress(text) if in_notebook else LineProgress(sys.stderr, text)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ddpc_cosim.cli.output import say, screen, warnings_in_one_line
+from ddpc_cosim.cli.output import clipped, say, screen, warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.files.texts import alike, printable
@@ -15,11 +15,11 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import HTML, METRICS_FILE, REPORT_FILE, StudyResults, write_report
 from ddpc_cosim.study.verdicts.findings import findings_of
 
-_MOST_LISTED = 20
+_MOST_LISTED, _LONGEST_WARNING = 20, 160
 
 
 def show_results(results: StudyResults, *, report: bool = True, browse: bool = False) -> int:
-    """Print the result table, the path of the report and what has failed, and return the exit code."""
+    """Print the result table, what has failed, and last the path of the report; return the exit code."""
     folder = results.folder
     console = screen()
     ran = [problem for problem in results.problems() if problem.cases]
@@ -37,8 +37,7 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
             )
     if len(ran) > 1 and (table := overall_table(ran, console)) is not None:
         console.print(table, crop=False)
-    if report:
-        write_and_open([results], folder / REPORT_FILE, HTML, browse=browse)
+    sys.stdout.flush()  # what follows on stderr comes after it, wherever both go
     _print_warnings(results)
     failed: dict[tuple[Outcome, str], list[CaseResult]] = {}
     for case in results.cases:
@@ -46,7 +45,10 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
             failed.setdefault((case.outcome, alike(case.reason or case.failure)), []).append(case)
     _print_some([_failure(cases) for cases in failed.values()], f": {folder / METRICS_FILE}")
     ended_early = any(outcome is not Outcome.COMPLETED for outcome, _ in failed)
-    return 1 if print_damaged(results) or ended_early else 0
+    damaged = print_damaged(results)
+    if report:
+        write_and_open([results], folder / REPORT_FILE, HTML, browse=browse)
+    return 1 if damaged or ended_early else 0
 
 
 def _failure(cases: Sequence[CaseResult]) -> str:
@@ -87,19 +89,23 @@ def _print_warnings(results: StudyResults) -> None:
     for text, all_cases in by_words.values():
         controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
         count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
-        say(f"warning: {controllers} ({count}): {text}", err=True)
+        say(f"warning: {controllers} ({count}): {clipped(text, _LONGEST_WARNING)}", err=True)
 
 
 def write_and_open(results: Sequence[StudyResults], path: Path, form: str, *, browse: bool) -> None:
     """Write a report, print its path, and open it if that is wanted and there is a browser."""
     with writing(str(path)):
         path = write_report(results, path, form)
+    if browse and not _is_opened(path):
+        say("no browser was found to open the report with", err=True)
     print(printable(str(path)))
-    if browse:
-        with suppress(webbrowser.Error):
-            if webbrowser.open(path.resolve().as_uri()):
-                return
-        print("no browser was found to open the report with", file=sys.stderr)
+
+
+def _is_opened(path: Path) -> bool:
+    """Open a page in a browser, if there is one."""
+    with suppress(webbrowser.Error):
+        return webbrowser.open(path.resolve().as_uri())
+    return False
 
 
 @contextmanager

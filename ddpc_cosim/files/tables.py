@@ -11,9 +11,12 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import StringIO
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from ddpc_cosim.files.texts import csv_text, encodable, recorded
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Raw = float | int | str
 _DASH = "\N{EN DASH}"
@@ -159,6 +162,16 @@ class Table:
     def csv_uri(self) -> str:
         """The CSV in a data URI."""
         return f"data:text/csv;charset=utf-8;base64,{b64encode(self.csv.encode()).decode('ascii')}"
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the values behind the cells, a row each, as a DataFrame."""
+        import pandas as pd
+
+        rows = [[row.header, *(cell.value for cell in row.cells)] for row in self.rows]
+        return pd.DataFrame(rows, columns=[heading.words for heading in self.headings])
+
+    def _repr_html_(self) -> str:
+        return self.html
 
     @property
     def html(self) -> str:

@@ -1,6 +1,6 @@
 """What one run leaves behind."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.csv_files import write_table
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 if TYPE_CHECKING:
-    import altair
     import pandas as pd
 
 
@@ -285,32 +286,35 @@ class Trace:
             self.charges, charged, held, self.price[rows], self.emission[rows], self.sampling_time
         )
 
-    def plot(self) -> "altair.VConcatChart":
-        """Return the samples as a chart, in display units.
+    def plot(self, *others: "Trace", labels: Sequence[str] = ()) -> Picture:
+        """Draw the samples in display units, over those of other runs of the same loop.
 
-        Outputs have references or shaded bands, and limits; below are inputs, disturbances and prices. Of
-        long runs time is in hours or days.
+        Outputs have references or shaded bands, and limits that they come near; below are inputs,
+        disturbances and prices. Of long runs time is in min, h or d.
 
-        It shows itself in a notebook; ``save`` writes it as a page, SVG or PNG.
+        Parameters
+        ----------
+        others : Trace
+            Runs that are drawn along.
+        labels : sequence of str
+            What the runs are called, this one first; default: run 1, run 2, ...
+
+        Returns
+        -------
+        picture : Picture
+            It shows itself in a notebook; ``save`` writes it as SVG, PDF or PNG.
+
+        Raises
+        ------
+        ConfigError
+            The runs have other signals, or labels are too few, too many or the same.
         """
-        from ddpc_cosim.loop.plotting import Panel, time_chart
-
-        panels = []
-        for i, output in enumerate(self.outputs):
-            limits = self._all_limits(output, i)
-            if output.name in self.bands:
-                panels.append(Panel(output, self.y[:, i], limits, band=self.band[:, i]))
-            else:
-                panels.append(Panel(output, self.y[:, i], limits, self.reference[:, i]))
-        for i, variable in enumerate(self.inputs):
-            limits = self._all_limits(variable, i, of_input=True)
-            panels.append(Panel(variable, self.u[:, i], limits, held=True))
-        panels += [
-            Panel(variable, values, held=True)
-            for title, variable, values in self._further()
-            if title in ("disturbance", "price")
-        ]
-        return time_chart(self.time, panels, "" if self.completed else f"{self.outcome}: {self.reason}")
+        runs = (self, *others)
+        called = [*labels] or ([""] if len(runs) == 1 else [f"run {n}" for n in range(1, len(runs) + 1)])
+        if len(called) != len(runs) or len({*called}) != len(runs):
+            raise ConfigError(f"labels: {', '.join(called)}; needed: {len(runs)} different ones")
+        picture: Picture = drawn("of_traces", dict(zip(called, runs, strict=True)))
+        return picture
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).

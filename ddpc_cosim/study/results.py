@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
-from ddpc_cosim.files.tables import plain_table, table_text
+from ddpc_cosim.files.tables import Table, plain_table, table_text
 from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
+from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
@@ -37,12 +38,13 @@ if TYPE_CHECKING:
 
     from ddpc_cosim.study.file_format.sections import Study
     from ddpc_cosim.study.problems import WholeStudy
+    from ddpc_cosim.study.verdicts.comparison import Comparison
     from ddpc_cosim.study.verdicts.findings import Findings
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
 HTML = "html"
-_OPEN_LOOP = "simulation"
-"""The report that is of no study."""
+_NO_FORMATS = ("simulation", "pictures")
+"""Plug-ins of reports that write none of a study."""
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
     "provenance.json",
@@ -206,7 +208,7 @@ class StudyResults:
         ]
         return pd.DataFrame(rows)
 
-    def compare(self, metric: str, *, baseline: str) -> "pd.DataFrame":
+    def compare(self, metric: str, *, baseline: str) -> "Comparison":
         """Compare each controller with one, over the same seeds, scenarios and problems.
 
         Parameters
@@ -218,15 +220,17 @@ class StudyResults:
 
         Returns
         -------
-        table : pandas.DataFrame
-            One row per problem and controller:
-            see :func:`ddpc_cosim.study.verdicts.statistics.compare_frame`.
+        table : Comparison
+            A DataFrame, one row per problem and controller:
+            see :func:`ddpc_cosim.study.verdicts.statistics.compare_frame`. It prints what is read first:
+            difference, its interval, and whether the controller is better.
 
         Raises
         ------
         ConfigError
             There is no such metric or controller.
         """
+        from ddpc_cosim.study.verdicts.comparison import Comparison
         from ddpc_cosim.study.verdicts.statistics import compare_frame
 
         keys = list(dict.fromkeys(key for case in self.cases for key in case.metrics))
@@ -235,7 +239,8 @@ class StudyResults:
             shown = [key.partition(" [")[0] for key in keys]
             raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, shown)}')
         names = {case.label: case.controller for case in self.cases}
-        return compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
+        table = compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
+        return Comparison.of(table, f"{chosen[0]}, less that of {baseline}: medians over the seeds")
 
     def findings(self) -> "dict[str, Findings]":
         """Return by problem who is ahead, how sure that is, whether it matters and who failed.
@@ -333,6 +338,59 @@ class StudyResults:
         """
         return write_report([self], self.folder / REPORT_FILE if path is None else Path(path))
 
+    def plot(self, *controllers: str, problem: str = "", scenario: str = "") -> Picture:
+        """Draw responses and control signals as the report does: the first seed, and bands over the seeds.
+
+        Parameters
+        ----------
+        controllers : str
+            By names or labels; default: all.
+        problem, scenario : str
+            Not needed where there is one.
+
+        Returns
+        -------
+        picture : Picture
+            It shows itself in a notebook; ``save`` writes it as SVG, PDF or PNG.
+
+        Raises
+        ------
+        ConfigError
+            There is no such one, or several and none is said.
+        """
+        picture: Picture = drawn("of_results", self, controllers, problem=problem, scenario=scenario)
+        return picture
+
+    def plot_spread(
+        self, metric: str = "", *controllers: str, problem: str = "", scenario: str = ""
+    ) -> Picture:
+        """Draw a metric over the seeds, a strip for each controller.
+
+        Parameters
+        ----------
+        metric : str
+            A column of :meth:`frame`, its unit may be left out; default: what the ranking is by.
+        controllers, problem, scenario : str
+            As in :meth:`plot`.
+
+        Raises
+        ------
+        ConfigError
+            There is no such one, or several and none is said; or no run has a value.
+        """
+        where = {"problem": problem, "scenario": scenario}
+        picture: Picture = drawn("spread", self, metric, controllers, **where)
+        return picture
+
+    def ranking(self, *controllers: str, problem: str = "", scenario: str = "") -> Table:
+        """Return the table of the report's first screen: ranks, what they are by, what else decides.
+
+        It shows itself in a notebook; ``frame()`` makes a DataFrame of it. Parameters and errors are those of
+        :meth:`plot`.
+        """
+        table: Table = drawn("ranking", self, controllers, problem=problem, scenario=scenario)
+        return table
+
     def warnings(self) -> dict[tuple[str, str], tuple[CaseResult, ...]]:
         """Return the cases of every warning, by controller and text.
 
@@ -354,9 +412,8 @@ def provenance_of(problem: str, key: str) -> str:
 
 def report_formats() -> list[str]:
     """Return the formats that reports are written in: the installed writers."""
-    return [
-        plugin.name for plugin in installed("reports") if callable(plugin.value) and plugin.name != _OPEN_LOOP
-    ]
+    writers = (plugin.name for plugin in installed("reports") if callable(plugin.value))
+    return [name for name in writers if name not in _NO_FORMATS]
 
 
 def report_writer(form: str) -> Callable[[Sequence[StudyResults], Path], Path]:

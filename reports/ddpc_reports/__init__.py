@@ -3,14 +3,23 @@
 Everything heavy is imported when a report is written, so that finding this plug-in costs nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ddpc_cosim import Simulation, StudyResults
+    from ddpc_cosim import Picture, Simulation, StudyResults, Trace
+    from ddpc_cosim.files.tables import Table
 
-__all__ = ["write_csv", "write_json", "write_markdown", "write_report", "write_simulation"]
+__all__ = [
+    "Pictures",
+    "write_csv",
+    "write_json",
+    "write_latex",
+    "write_markdown",
+    "write_report",
+    "write_simulation",
+]
 
 
 def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
@@ -56,6 +65,16 @@ def write_csv(results: "Sequence[StudyResults]", path: Path) -> Path:
     from ddpc_reports.tidy import tidy_table
 
     return _written(tidy_table(results), path)
+
+
+def write_latex(results: "Sequence[StudyResults]", path: Path) -> Path:
+    """Write the rankings of all scenarios as LaTeX, a table for each.
+
+    Parameters and errors are those of :func:`write_report`.
+    """
+    from ddpc_reports.latex import latex
+
+    return _written(latex(results), path)
 
 
 def write_markdown(results: "Sequence[StudyResults]", path: Path) -> Path:
@@ -104,3 +123,51 @@ def write_simulation(simulation: "Simulation", path: Path) -> Path:
     from ddpc_reports.simulation import write
 
     return write(simulation, path)
+
+
+class Pictures:
+    """Figures and tables of the page for Python, in its own words and colours.
+
+    Errors are those of the methods of ``StudyResults`` and ``Trace`` that ask for them.
+    """
+
+    @staticmethod
+    def of_traces(traces: "Mapping[str, Trace]") -> "Picture":
+        """Draw runs of one loop, by label, over each other."""
+        from ddpc_reports.pictures import of_traces
+
+        return of_traces(traces)
+
+    @staticmethod
+    def of_results(
+        results: "StudyResults", controllers: Sequence[str], *, problem: str, scenario: str
+    ) -> "Picture":
+        """Draw responses and control signals of one scenario."""
+        from ddpc_reports.pictures import of_results
+
+        return of_results(results, controllers, problem=problem, scenario=scenario)
+
+    @staticmethod
+    def spread(
+        results: "StudyResults", metric: str, controllers: Sequence[str], *, problem: str, scenario: str
+    ) -> "Picture":
+        """Draw a metric over the seeds of one scenario."""
+        from ddpc_reports.pictures import spread_of_results
+
+        return spread_of_results(results, metric, controllers, problem=problem, scenario=scenario)
+
+    @staticmethod
+    def every_figure(results: "StudyResults") -> "Iterator[tuple[str, Picture]]":
+        """Yield each figure of the page, and a name for its file."""
+        from ddpc_reports.pictures import every_figure
+
+        return every_figure(results)
+
+    @staticmethod
+    def ranking(
+        results: "StudyResults", controllers: Sequence[str], *, problem: str, scenario: str
+    ) -> "Table":
+        """Return the table of the first screen, of one scenario."""
+        from ddpc_reports.pictures import ranking_of
+
+        return ranking_of(results, controllers, problem=problem, scenario=scenario)

@@ -65,6 +65,7 @@ from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_
 from ddpc_reports.third_parties import own_blocks, own_sections
 from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, findings, limitations
+from ddpc_reports.why import why_statements
 
 _LONGEST_TITLE = 120
 _MOST_DRAWN = 4
@@ -402,6 +403,7 @@ class _Part:
             ("responses", "Responses", self._figures_over_time("responses")),
             ("errors", "Errors", self._figures_over_time("errors")),
             ("control", "Control signals", self._figures_over_time("inputs")),
+            ("why", "Why they lost", self._each(_why_blocks)),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
@@ -531,6 +533,10 @@ def _study_part(
         results.study.source,
         [remark.text for remark in remarks if not remark.is_failure],
     )
+
+
+def _why_blocks(condition: Condition, prefix: str) -> list[Block]:
+    return _statements(why_statements(condition))
 
 
 def _response_blocks(condition: Condition, prefix: str) -> list[Block]:

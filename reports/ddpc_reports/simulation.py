@@ -1,7 +1,5 @@
 """One simulation as a page in the manner of the report, or as a drawing: its signals over time."""
 
-import html
-import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from markupsafe import Markup
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.plugins import write_atomically
-from ddpc_reports.embedding import drawing, pack, stylesheet
+from ddpc_reports.embedding import drawing, pack
 from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
@@ -19,15 +17,11 @@ from ddpc_reports.figures.signal import Column, Signal, rounded, times
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
+from ddpc_reports.pictures import stacked
 from ddpc_reports.sections import Section, StudyPart
 
 _MOST_DRAWN, _MOST_POINTS = 24, 2000
 _LINE = "c0"
-_COLOUR = re.compile(r"var\((--[\w-]+)\)")
-_LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
-_LEAST_WIDTH = 300.0
-_BOX = re.compile(r'viewBox="0 0 ([\d.]+) ([\d.]+)"')
-_TITLE_HEIGHT, _MARGIN = 34.0, 12.0
 _HEIGHT = 200
 
 
@@ -70,28 +64,9 @@ def simulation_drawing(simulation: Simulation) -> str:
     OSError
         They cannot be drawn.
     """
-    colours = dict(_LIGHT.findall(stylesheet()))
     title = simulation.plant if simulation.completed else f"{simulation.plant} ({simulation.outcome})"
-    parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
-    signals = _signals(simulation)
-    for signal in signals:
-        svg = str(_view(simulation, signal, WIDE).drawing.svg)
-        box = _BOX.search(svg)
-        if box is None:  # the words that stand in the page for a drawing that failed
-            raise OSError(f"{signal.title} cannot be drawn")
-        wide, high = float(box[1]), float(box[2])
-        place = f'<svg x="{_MARGIN:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
-        parts.append(svg.replace("<svg", place, 1))
-        width, height = max(width, wide + 2 * _MARGIN), height + high + _MARGIN
-    drawn = _COLOUR.sub(lambda match: colours.get(match[1], "none"), "".join(parts))
-    ink = colours.get("--ink", "black")
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}">'
-        f'<rect width="100%" height="100%" fill="{colours.get("--paper", "white")}"/>'
-        f'<text x="{_MARGIN:g}" y="22" font-family="sans-serif" font-size="15" fill="{ink}">'
-        f"{html.escape(title)}</text>{drawn}</svg>\n"
-    )
+    views = (_view(simulation, signal, WIDE) for signal in _signals(simulation))
+    return stacked(title, (("", str(view.drawing.svg)) for view in views))
 
 
 def write(simulation: Simulation, path: Path) -> Path:

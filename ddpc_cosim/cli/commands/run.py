@@ -26,7 +26,7 @@ def run(
         "csv", "File of each case's samples [csv]; parquet needs pyarrow."
     ),
     keep_files: bool = option(False, "Keep what each case leaves in its working directory."),
-    dry_run: bool = option(False, "Run nothing: say how many cases, how long, how many bytes."),
+    dry_run: bool = option(False, "Only say how many cases, how long, how many bytes."),
     sandbox: bool = options.SANDBOX,
     no_report: bool = options.NO_REPORT,
     browse: bool = options.OPEN,

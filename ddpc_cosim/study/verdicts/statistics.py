@@ -503,10 +503,12 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     Returns
     -------
     table : pandas.DataFrame
-        ``problem``, ``controller``, ``failed`` (how many runs), the fields of :class:`Sample`, and those of
-        :class:`Difference`
+        ``problem``, ``controller``, ``failed`` (how many runs) and ``reason`` (of the first of them, where
+        the frame has it), the fields of :class:`Sample`, and those of :class:`Difference`
         (missing in the baseline's own row) as ``paired_seeds``, ``difference_mean``, ``difference``,
-        ``difference_low``, ``difference_high``, the others by their names, and ``told_apart``.
+        ``difference_low``, ``difference_high``, the others by their names, ``told_apart``, and ``verdict``:
+        ``better``, ``worse`` or ``different`` where they are told apart, ``not told apart``, or why it is not
+        tested; of the baseline ``baseline``.
 
     Raises
     ------
@@ -528,8 +530,16 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
             name: difference for (name, _), difference in compare_pairs(runs, pairs, better).items()
         }
         failed = part.groupby("controller", sort=False)["failed"].sum()
+        reasons = dict[str, str]()
+        if "reason" in part:
+            of_failed = part[part["failed"].astype(bool)].groupby("controller")["reason"]
+            reasons = {str(name): str(texts.iloc[0]) for name, texts in of_failed}
         for name, controller_runs in runs.items():
             row = {"problem": problem, "controller": name, "failed": int(failed[name])}
+            all_failed = row["failed"] == len(controller_runs)
+            reason = row["reason"] = reasons.get(name, "")
+            failure = ": ".join(filter(None, ("failed", reason))) if all_failed else ""
+            row["verdict"] = failure or _verdict(differences.get(name))
             row |= describe(controller_runs)._asdict()
             if difference := differences.get(name):
                 names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
@@ -538,6 +548,18 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
                 row["told_apart"] = difference.told_apart
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _verdict(difference: Difference | None) -> str:
+    """Say in a few words what the pairs tell of a controller against the baseline."""
+    if difference is None:
+        return "baseline"
+    if difference.told_apart:
+        return "different" if math.isnan(difference.won) else "worse" if difference.told_worse else "better"
+    if difference.tested or difference.constant:
+        few = difference.seeds < FEWEST and not difference.constant
+        return f"not tested: {difference.seeds} seeds, needed {FEWEST}" if few else "not told apart"
+    return f"not tested: {difference.only_own + difference.only_other or 'all'} pairs have a failed run"
 
 
 def runs_of(part: "pd.DataFrame", metric: str) -> dict[str, Runs]:

@@ -131,10 +131,11 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
     if len(condition.seeds) < 2:
         return []
     keys = enumerate(condition.headline)
-    return [figure for i, key in keys if (figure := _spread_figure(condition, key, f"{prefix}spread-{i}"))]
+    return [figure for i, key in keys if (figure := spread_figure(condition, key, f"{prefix}spread-{i}"))]
 
 
-def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
+def spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
+    """Return the strip plot of a metric over the seeds; None if no run that did not fail has it."""
     what = metric_words(key, condition.every_key)
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
     rows = [row for controller in condition.controllers for row in _spread_rows(condition, controller, key)]

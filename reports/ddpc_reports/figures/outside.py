@@ -1,5 +1,6 @@
 """What acts on a plant from outside, over time: known disturbances with their forecasts, and prices."""
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -22,9 +23,15 @@ def disturbance_signals(condition: Condition, prefix: str) -> list[Signal]:
     those of the controller that looks ahead farthest, of which others are told the beginning.
     """
     traces = first_runs(condition)
-    if not traces or not (declared := condition.results.study.disturbances):
-        return []
-    longest, clock = max(traces.values(), key=len), clock_of(condition)
+    declared = condition.results.study.disturbances
+    return disturbances_of(traces, declared, clock_of(condition), prefix) if traces else []
+
+
+def disturbances_of(
+    traces: Mapping[str, Trace], declared: Iterable[str], clock: Clock, prefix: str
+) -> list[Signal]:
+    """Return disturbances of runs, by their names, as far as the runs tell of them."""
+    longest = max(traces.values(), key=len)
     farthest = max(traces.values(), key=lambda trace: np.count_nonzero(np.isfinite(trace.forecast)))
     held = [variable.name for variable in longest.changed_inputs]
     known = [variable.name for variable in longest.disturbances]
@@ -85,9 +92,12 @@ def _issued(trace: Trace, i: int) -> list[FloatArray]:
 def price_signals(condition: Condition, prefix: str) -> list[Signal]:
     """Return the prices over time, as controllers learn them."""
     traces = first_runs(condition)
-    if not traces:
-        return []
-    longest, clock = max(traces.values(), key=len), clock_of(condition)
+    return prices_of(traces, clock_of(condition), prefix) if traces else []
+
+
+def prices_of(traces: Mapping[str, Trace], clock: Clock, prefix: str) -> list[Signal]:
+    """Return the prices of runs of one loop over time."""
+    longest = max(traces.values(), key=len)
     signals = []
     for i, charge in enumerate(longest.charges):
         unit = unit_symbol(f"{charge.unit}/{charge.amount}")

@@ -74,7 +74,7 @@ def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -
     Where there is no room for all of it, it is ``sketched``: the responses of the first seed alone.
     """
     drawn = seen(condition, prefix, bands=not sketched)
-    marks, words = _scenario(condition)
+    marks, words = scenario_marks(condition)
     scene = _Scene(condition, _panels(condition), marks, drawn.over, prefix)
     sent = f"control signal{_commanded(condition)}, drawn as it is held from sample to sample"
     change = "change of the control signal from one sample to the next; each panel has its own scale"
@@ -128,7 +128,7 @@ def _info_figure(scene: _Scene, info: InfoSignals) -> Figure:
     return _time_figure(replace(scene, panels=_even_panels(those)), info.signals, _INFO, what, every + rest)
 
 
-def _scenario(condition: Condition) -> tuple[list[Mark], str]:
+def scenario_marks(condition: Condition) -> tuple[list[Mark], str]:
     """Return what a scenario does during the run, briefly, and in words this and all the rest."""
     results, traces = condition.results, condition.first_traces.values()
     section = results.study.scenarios.get(condition.scenario)

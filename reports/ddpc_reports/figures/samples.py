@@ -86,6 +86,16 @@ def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
     )
 
 
+def levels(traces: Mapping[str, Trace], labels: Mapping[str, str], clock: Clock, prefix: str) -> list[Signal]:
+    """Return outputs and inputs of runs of one loop; traces and labels are by column."""
+    longest = max(traces.values(), key=len)
+    runs = _Runs(dict(traces), longest, trusted(traces), {}, dict(labels), clock)
+    return [
+        *(_level(runs, i, f"{prefix}y{i}", is_input=False) for i in range(len(longest.outputs))),
+        *(_level(runs, i, f"{prefix}u{i}", is_input=True) for i in range(len(longest.inputs))),
+    ]
+
+
 def clock_of(condition: Condition) -> Clock:
     """Return the unit of time of the figures of a condition."""
     loop = condition.results.study.loop

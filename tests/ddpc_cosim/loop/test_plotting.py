@@ -58,34 +58,43 @@ def trace() -> Trace:
     return cosimulate(Integrator(), Proportional(), sampling_time=0.1, duration=1.0, reference=reference)
 
 
-def test_a_run_as_a_chart(trace: Trace) -> None:
-    """Every sample is there in display units, what is held as steps, limits as rules."""
-    spec = trace.plot().to_dict()
-    output, control = spec["vconcat"]
-    data = spec.get("datasets", {})
+def rows_of(chart: dict) -> list[dict]:
+    """Return the samples of a chart."""
+    return next(iter(chart["datasets"].values()))
 
-    def values(layer: dict) -> list[float]:
-        rows = data[layer["data"]["name"]] if "name" in layer["data"] else layer["data"]["values"]
-        return [row["value"] for row in rows]
 
-    reference, response = output["layer"]
-    np.testing.assert_allclose(values(reference), np.degrees(trace.reference[:, 0]))
-    np.testing.assert_allclose(values(response), np.degrees(trace.y[:, 0]))
-    assert reference["mark"]["interpolate"] == "step-after"
-    assert "interpolate" not in response["mark"]
-    signal, limits = control["layer"]
-    np.testing.assert_array_equal(values(signal), trace.u[:, 0])
-    assert values(limits) == [-2.0, 2.0]
-    assert output["encoding"]["y"]["title"] == "angle [deg]"
-    assert "title" not in spec
+def columns_of(chart: dict, *names: str) -> list[list[float]]:
+    return [[row[name] for row in rows_of(chart)] for name in names]
+
+
+def test_a_run_as_a_picture(trace: Trace) -> None:
+    """Every sample is there in display units, with what is wanted, and limits that it comes near."""
+    picture = trace.plot()
+    output, control = picture.charts
+    reference, response = columns_of(output, "r", "c0")
+    np.testing.assert_allclose(reference, np.degrees(trace.reference[:, 0]), rtol=1e-5)
+    np.testing.assert_allclose(response, np.degrees(trace.y[:, 0]), rtol=1e-5)
+    np.testing.assert_allclose(columns_of(control, "c0")[0], trace.u[:, 0], rtol=1e-5)
+    assert picture.title == "angle over time"
+    assert "angle / \N{DEGREE SIGN}" in picture.svg
     failed = replace(trace, outcome=Outcome.CRASHED, reason="gone\x1b[2J")
-    assert failed.plot().to_dict()["title"] == "crashed: gone\\x1b[2J"
+    assert failed.plot().title == "crashed: gone\\x1b[2J"
 
 
-def test_a_run_without_samples_is_a_chart_too(trace: Trace) -> None:
+def test_a_run_without_samples_is_a_picture_too(trace: Trace) -> None:
     arrays = ("time", "reference", "y", "measured", "u", "solve_time")
     empty = replace(trace, **{name: getattr(trace, name)[:0] for name in arrays}, status=())
-    assert len(empty.plot().to_dict()["vconcat"]) == 2
+    empty = replace(empty, outcome=Outcome.CRASHED, reason="at once")
+    assert (empty.plot().title, empty.plot().charts) == ("crashed: at once", ())
+    both = trace.plot(empty, labels=["a", "b"])
+    assert len(both.charts) == 2
+    assert "b: crashed: at once" in both.svg
+
+
+def test_runs_of_other_loops_are_not_drawn_over_each_other(trace: Trace) -> None:
+    other = replace(trace, inputs=(Variable("force"),))
+    with pytest.raises(ConfigError, match="run 2: other signals: force -> angle; needed: u -> angle"):
+        trace.plot(other)
 
 
 def test_short_texts(trace: Trace, pendulum_fmu) -> None:
@@ -110,8 +119,8 @@ def test_an_unknown_keyword_of_a_controller_is_told_with_the_one_that_is_meant()
     assert MFAPC(horizon=4).horizon == 4
 
 
-def test_bands_are_shaded_limits_move_as_steps_and_disturbances_and_prices_have_panels(trace: Trace) -> None:
-    """All of it over three days, in hours; in display units."""
+def test_bands_limits_that_move_disturbances_and_prices_have_their_charts(trace: Trace) -> None:
+    """All of it over three days, in days; in display units."""
     n = len(trace)
     edges = np.stack([np.full((n, 1), -0.1), np.full((n, 1), 0.1)], axis=-1)
     limits = np.stack([np.zeros((n, 1)), np.arange(n, dtype=float)[:, None]], axis=-1)
@@ -129,20 +138,15 @@ def test_bands_are_shaded_limits_move_as_steps_and_disturbances_and_prices_have_
         emission=np.zeros((n, 1)),
         charged=trace.u,
     )
-    spec = more.plot().to_dict()
-    data = spec.get("datasets", {})
-
-    def rows(layer: dict) -> list[dict]:
-        return data[layer["data"]["name"]] if "name" in layer["data"] else layer["data"]["values"]
-
-    output, control, wind, price = spec["vconcat"]
-    band, response = output["layer"]
-    assert band["mark"]["type"] == "area"
-    np.testing.assert_allclose([row["upper"] for row in rows(band)], np.degrees(edges[:, 0, 1]))
-    np.testing.assert_allclose([row["value"] for row in rows(response)], np.degrees(trace.y[:, 0]))
-    assert [row["time"] for row in rows(response)] == pytest.approx(np.linspace(0, 72, n).tolist())
-    signal, least, most = control["layer"]
-    assert [layer["mark"]["interpolate"] for layer in (signal, least, most)] == ["step-after"] * 3
-    np.testing.assert_allclose([row["value"] for row in rows(most)], limits[:, 0, 1])
-    assert [panel["encoding"]["y"]["title"] for panel in (wind, price)] == ["wind [m/s]", "power [EUR/kWh]"]
-    assert price["encoding"]["x"]["title"] == "time [h]"
+    output, control, wind, price = more.plot().charts
+    lower, upper, response = columns_of(output, "lower", "upper", "c0")
+    np.testing.assert_allclose(lower, np.degrees(edges[:, 0, 0]), rtol=1e-5)
+    np.testing.assert_allclose(upper, np.degrees(edges[:, 0, 1]), rtol=1e-5)
+    np.testing.assert_allclose(response, np.degrees(trace.y[:, 0]), rtol=1e-5)
+    np.testing.assert_allclose(columns_of(output, "t")[0], np.linspace(0, 3, n), atol=1e-9)
+    np.testing.assert_allclose(columns_of(control, "limit0")[0], limits[:, 0, 1])
+    assert columns_of(wind, "m")[0] == np.arange(n).tolist()
+    assert columns_of(price, "x")[0] == [0.2] * n
+    svg = more.plot().svg
+    for title in ("wind / m/s", "price of power / EUR/kWh"):
+        assert title in svg
