@@ -127,10 +127,12 @@ class ActingDisturbances:
         """Whether what comes after the run is needed for forecasts."""
         return any(disturbance.is_foretold for disturbance in self.declared.values())
 
-    @property
-    def signals(self) -> dict[str, Reference]:
-        """The courses of those that are inputs, by what errors call them."""
-        return {f"disturbances: {name}": self.conditions.inputs[name] for name in names(self.inputs)}
+    def signals(self, *, in_experiment: bool) -> dict[str, Reference]:
+        """Return the courses of those that are inputs, by what errors call them."""
+        courses = dict(self.conditions.inputs)
+        if in_experiment:
+            courses |= self.conditions.recorded_inputs
+        return {f"disturbances: {name}": courses[name] for name in names(self.inputs)}
 
     def check_unseen(self, experiment: tuple[float, float], run: tuple[float, float]) -> None:
         """Raise ConfigError for disturbances of which an experiment has what is to come in the run.

@@ -327,8 +327,9 @@ class LoopSetup:
             f"conditions: {key} of {name}: {fault}"
             for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
-        signals = self.disturbances.signals | ({} if in_experiment else self.charged.signals)
-        faults += _gaps(signals, float(whole[0]), float(whole[-1]))
+        prices = {} if in_experiment else self.charged.signals
+        signals = self.disturbances.signals(in_experiment=in_experiment)
+        faults += _gaps(signals | prices, float(whole[0]), float(whole[-1]))
         if faults:
             raise ConfigError(faults)
         self.actuators.start(whole, ahead=ahead, in_experiment=in_experiment, continues=continues)

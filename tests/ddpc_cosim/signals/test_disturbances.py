@@ -375,6 +375,24 @@ def test_a_signal_from_a_file_has_to_reach_over_run_and_horizon(tmp_path: Path) 
     assert "needed: from 2 d to 2 d 17 h" in str(caught.value)
 
 
+def test_a_file_that_is_of_the_experiment_alone_has_to_reach_over_that(tmp_path: Path) -> None:
+    def file(first: float, last: float) -> SignalFromFile:
+        path = tmp_path / f"{first:g}.csv"
+        path.write_text(f"time [s],outdoors [degC]\n{first},5\n{last},6\n")
+        return SignalFromFile(str(path))
+
+    end = START + (STEPS + HORIZON) * H
+    how = {
+        "disturbances": {"outdoors": KnownDisturbance(signal=file(START, end + H), known="perfect")},
+        "conditions": Conditions(inputs={"sun": Constant(0.0)}),
+        "excitation": EXCITATION,
+        "recording_start": -1e6,
+    }
+    run(recorded_disturbances={"outdoors": file(-1e6, START)}, **how)
+    with pytest.raises(ConfigError, match=r"disturbances: outdoors: .*csv tells it from"):
+        run(recorded_disturbances={"outdoors": file(-1e6 + 10 * H, START - H)}, **how)
+
+
 def forecast_file(path: Path, issued: FloatArray, lead: FloatArray) -> ForecastFile:
     header = ",".join(["time [s]", *(f"{hours:g} h" for hours in lead / 3600)])
     rows = [",".join(map(str, [t, *(t / 3600 + 100 * lead)])) for t in issued]
