@@ -32,6 +32,7 @@ from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
+from ddpc_reports.figures.planes import plane_figure
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
 from ddpc_reports.sensitivity import (
@@ -403,6 +404,7 @@ class _Part:
             ("responses", "Responses", self._figures_over_time("responses")),
             ("errors", "Errors", self._figures_over_time("errors")),
             ("control", "Control signals", self._figures_over_time("inputs")),
+            ("planes", "Phase plane", self._each(self._planes)),
             ("why", "Why they lost", self._each(_why_blocks)),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
@@ -452,6 +454,9 @@ class _Part:
             *_statements(said),
             *_tables(certainty_table(condition, prefix)),
         ]
+
+    def _planes(self, condition: Condition, prefix: str) -> list[Block]:
+        return _figures([plane_figure(condition, prefix)] if condition in self.budget.spread else [], prefix)
 
     def _step_times(self, condition: Condition, prefix: str) -> list[Block]:
         if not condition.controllers:

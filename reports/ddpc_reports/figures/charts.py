@@ -392,6 +392,35 @@ def trade_chart(
     return _chart_of_rows(rows, layers, 240, width=width)
 
 
+def plane_chart(rows: list[dict[str, Any]], titles: Sequence[str], width: int) -> Spec:
+    """Return a line through two signals for each controller, its beginning as a dot.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``x``, ``y``, ``key`` and ``i``, the place along the line, from 0.
+    titles : sequence of str
+        What the axes are.
+    width : int
+        Of the static drawing [px].
+    """
+    x, y = (
+        field(side, title)
+        | {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+        for side, title in zip("xy", titles, strict=True)
+    )
+    names = list(dict.fromkeys(row["key"] for row in rows))
+    place = {"x": x, "y": y, "color": colours_of(names)}
+    along = {"strokeDash": dashes_of(names), "order": {"field": "i", "type": "quantitative"}}
+    layers = [
+        layer({"type": "line", "strokeWidth": 1.3}, place | along, None, _NOT_HIDDEN),
+        layer(
+            {"type": "circle", "size": 40, "opacity": 1}, place, None, _NOT_HIDDEN, {"filter": "datum.i == 0"}
+        ),
+    ]
+    return _chart_of_rows(rows, layers, 240, width=width)
+
+
 def _middle(rows: Sequence[dict[str, Any]]) -> float:
     values = [float(row["x"]) for row in rows]
     return (min(values) + max(values)) / 2

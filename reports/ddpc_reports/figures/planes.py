@@ -1,0 +1,108 @@
+"""Planes of a run: outputs over each other, or an output and its rate, and inputs over outputs."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ddpc_cosim import FloatArray, Trace, Variable
+from ddpc_cosim.files.texts import clipped
+from ddpc_reports.comparison import Condition
+from ddpc_reports.embedding import drawing
+from ddpc_reports.figures.charts import plane_chart
+from ddpc_reports.figures.figure import Figure, View, entry
+from ddpc_reports.figures.samples import column_name, first_runs, level_title, trusted
+from ddpc_reports.figures.time_charts import NARROW
+from ddpc_reports.numbers import significant, unit_symbol, with_unit
+
+_MOST_POINTS = 150
+"""Of a controller's line: more are not told apart."""
+
+
+class _Axis(NamedTuple):
+    """What an axis shows: its title, its unit symbol, and its values in a run."""
+
+    title: str
+    unit: str
+    output: int = -1
+    input: int = -1
+    is_rate: bool = False
+
+    def values(self, trace: Trace) -> FloatArray:
+        """Return its samples in display units, shape (K,)."""
+        if self.input >= 0:
+            return trace.inputs[self.input].shown_in.from_unit(trace.u[:, self.input])
+        variable, y = trace.outputs[self.output], trace.y[:, self.output]
+        if not self.is_rate:
+            return variable.shown_in.from_unit(y)
+        rate = np.gradient(y, trace.sampling_time) if len(y) > 1 else np.zeros(len(y))
+        return np.asarray(rate * variable.shown_in.factor)
+
+
+def plane_figure(condition: Condition, prefix: str) -> Figure | None:
+    """Return the first two outputs over each other, or one and its rate; the first input over the first output.
+
+    Rates are differences of samples: (y_k+1 - y_k-1) / (2 h).
+    """
+    traces = first_runs(condition)
+    drawn = {name: trace for name, trace in traces.items() if len(trace) > 1}
+    if not drawn:
+        return None
+    longest = max(drawn.values(), key=len)
+    shown = {*trusted(drawn)} or {*drawn}
+    members = [controller for controller in condition.controllers if column_name(controller) in shown]
+    views = []
+    for number, (x, y) in enumerate(_pairs(longest), 1):
+        rows = [
+            row
+            for controller in members
+            for row in _rows(drawn[column_name(controller)], column_name(controller), controller.label, x, y)
+        ]
+        name = f"{prefix}plane-{number}"
+        spec = plane_chart(rows, (x.title, y.title), NARROW)
+        description = f"{y.title} over {x.title}: {'; '.join(clipped(member.label) for member in members)}"
+        views.append(View(name, "", description, spec, drawing(spec, name, description)))
+    left = [
+        controller for controller in condition.controllers if column_name(controller) in drawn.keys() - shown
+    ]
+    beyond = (
+        f" Far away, and left out: {', '.join(clipped(member.label) for member in left)}." if left else ""
+    )
+    rate = " A rate is that between the samples before and after." if len(longest.outputs) < 2 else ""
+    caption = (
+        f"Phase plane, and input against output, at seed {condition.seeds[0]}, the beginning of a run as a dot."
+        f"{rate}{beyond}"
+    )
+    legend = tuple(entry(member) for member in members)
+    return Figure(f"{prefix}planes", "Phase plane", caption, tuple(views), legend, folded=True)
+
+
+def _pairs(trace: Trace) -> Iterator[tuple[_Axis, _Axis]]:
+    first = _level(trace.outputs[0], output=0)
+    if len(trace.outputs) > 1:
+        yield first, _level(trace.outputs[1], output=1)
+    else:
+        unit = f"{first.unit or '1'}/s"
+        yield (
+            first,
+            _Axis(f"rate of {first.title.partition(' / ')[0]} / {unit}", unit, output=0, is_rate=True),
+        )
+    yield first, _level(trace.inputs[0], input=0)
+
+
+def _level(variable: Variable, **which: int) -> _Axis:
+    unit = unit_symbol(variable.shown_in.name)
+    return _Axis(level_title(variable, unit), unit, **which)
+
+
+def _rows(trace: Trace, key: str, label: str, x: _Axis, y: _Axis) -> Iterator[dict[str, Any]]:
+    """Yield the points of a run, thinned out evenly."""
+    kept = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), _MOST_POINTS)).round().astype(np.intp))
+    values = np.stack([x.values(trace)[kept], y.values(trace)[kept]], axis=1)
+    for i, (a, b) in enumerate(values.tolist()):
+        if np.isfinite([a, b]).all():
+            row = {"key": key, "i": i, "x": float(f"{a:.5g}"), "y": float(f"{b:.5g}")}
+            if not i:
+                start = f"{with_unit(significant(a, 3), x.unit)}, {with_unit(significant(b, 3), y.unit)}"
+                row |= {"label": clipped(label), "text": f"{clipped(label)}, from {start}"}
+            yield row
