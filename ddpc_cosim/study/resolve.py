@@ -503,15 +503,19 @@ class _Resolution:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
         sizes = [selection.size for selection in (self.inputs, self.outputs, self.measurements)]
+        known = {scenario: self.disturbances.count(scenario) for scenario in self.study.scenarios}
         for i, controller in enumerate(self.controllers):
             if recording is None and controller.uses_recording:
                 lacking = "learns from a recording, and the study has no recording section"
                 self.errors.add(("controllers", controller.name), lacking, _RECORDING)
             elif recording is not None and controller.controller is not None and all(sizes):
-                needed = self._length_needed(i, controller.controller, sizes)
-                self._check_length(recording, controller.name, needed)
-                for scenario in self.study.scenarios:
-                    self._check_changed_length(scenario, controller.name, needed)
+                needed = {
+                    count: self._length_needed(i, controller.controller, (*sizes, count))
+                    for count in sorted(set(known.values()))
+                }
+                self._check_length(recording, controller.name, max(needed.values()))
+                for scenario, count in known.items():
+                    self._check_changed_length(scenario, controller.name, needed[count])
         if self.study.loop.start == "recording-end" and (recording is None or recording.file):
             lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
             self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)
