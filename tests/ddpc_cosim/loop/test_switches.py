@@ -274,6 +274,43 @@ def test_a_warm_up_is_the_plants_own_unless_it_has_a_controller(room: Path) -> N
     np.testing.assert_allclose(own.y[:, 0], expected, rtol=1e-6)
 
 
+class TakesOver(Heats):
+    """Keeps what it is told of the samples before."""
+
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        self.past = loop.past
+
+
+@pytest.mark.parametrize("unit", ["W", "kW", None])
+def test_a_past_under_the_plants_own_control_has_what_that_applied_or_is_none(unit: str | None) -> None:
+    plant, warm = TellingRoom(unit), 4 * H
+    controller = TakesOver()
+    trace = loop_of(plant, controller, warm_up=warm)
+    zone = euler(lambda y: GAIN * (SETPOINT - y))
+    assert trace.y[0, 0] == pytest.approx(zone[4])
+    if unit == "W":
+        assert controller.past is not None
+        assert controller.past.u[:, 0] == pytest.approx(GAIN * (SETPOINT - np.array(zone[:4])))
+        assert controller.past.y[:, 0] == pytest.approx(zone[:4])
+        assert trace.warnings == ()
+    else:
+        assert controller.past is None
+        (warning,) = trace.warnings
+        assert "not known what that applied of oveHeat_u (no measurement tells, as oveHeat_y in W" in warning
+    # Who has driven it knows, and of the plant's own control that goes on no past is wanted.
+    loop_of(plant, controller, warm_up=warm, warm_up_controller=Heats())
+    assert controller.past is not None
+    assert controller.past.u[:, 0].tolist() == [1000.0] * 4
+    assert loop_of(plant, PlantControl(), warm_up=warm).warnings == ()
+
+
+def test_what_a_plant_applies_is_only_known_where_it_is_measured() -> None:
+    controller = TakesOver()
+    loop_of(TellingRoom("W"), controller, warm_up=2 * H, measurements=["reaTZon_y"])
+    assert controller.past is None
+
+
 def test_what_an_input_costs_is_not_known_of_the_plants_own_control(room: Path) -> None:
     prices = {
         "asked": Price(signal="oveHeat_u", price=0.25, unit="EUR/kWh"),
@@ -320,6 +357,33 @@ class PythonRoom(Plant):
         heat = activate * u_heat + (1.0 - activate) * GAIN * (SETPOINT - self.x[0])
         self.x = self.x + h * (LOSS * (outside - self.x) + heat) / CAPACITY
         return self.x.copy()
+
+
+class TellingRoom(PythonRoom):
+    """The same, and an output that tells the heat, in a unit; None: it does not."""
+
+    def __init__(self, unit: str | None) -> None:
+        self.switches = {"oveHeat_u": "oveHeat_activate"}
+        self.inputs = ROOM.inputs[:1]
+        self._tells = unit is not None
+        self.outputs = (ZONE, *([Variable("oveHeat_y", unit)] if unit else []))
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        self._activate = float((parameters or {})["oveHeat_activate"])
+        super().reset()
+        return self._seen(0.0)
+
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
+        self._activate = float(parameters["oveHeat_activate"])
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        super().step(np.array([u[0], self._activate, OUTSIDE]), h)
+        return self._seen(u[0])
+
+    def _seen(self, u: float) -> FloatArray:
+        own = GAIN * (SETPOINT - self.x[0])
+        heat = u if self._activate else own
+        return np.append(self.x, [heat] if self._tells else [])
 
 
 def euler(step: Callable[[float], float]) -> list[float]:
