@@ -3,12 +3,13 @@
 import hashlib
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import wraps
 from itertools import accumulate, pairwise
 from numbers import Integral
 from pathlib import Path
-from types import MappingProxyType
+from types import FunctionType, MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -488,14 +489,22 @@ class Controller(ABC):
         return False
 
     def __init_subclass__(cls, **more: Any) -> None:
-        """Let a class whose answer is fixed declare ``recording_length`` as an integer."""
+        """Let ``recording_length`` be an integer, or a method that does not ask for disturbances."""
         super().__init_subclass__(**more)
-        if isinstance(samples := cls.__dict__.get("recording_length"), Integral):
+        said = cls.__dict__.get("recording_length")
+        if isinstance(said, Integral):
 
-            def recording_length(self: Self, inputs: int, outputs: int, measurements: int) -> int:
-                return int(samples)
+            def recording_length(self: Self, *signals: int) -> int:
+                return int(said)
 
-            cls.recording_length = recording_length  # type: ignore[method-assign]
+            cls.recording_length = recording_length  # type: ignore[assignment, method-assign]
+        elif isinstance(said, FunctionType) and not _asks_for_disturbances(said):
+
+            @wraps(said)
+            def of_undisturbed(self: Self, *signals: int) -> Any:
+                return said(self, *signals[:3])
+
+            cls.recording_length = of_undisturbed  # type: ignore[assignment, method-assign]
 
     def __new__(cls, *_: Any, **settings: Any) -> Self:
         """Make a controller; an unknown setting is told with the one that may be meant."""
@@ -528,9 +537,10 @@ class Controller(ABC):
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs for this sample, shape (m,), or an ``Action``."""
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the fewest samples of a recording that ``start`` can work with, for so many signals.
 
+        ``disturbances`` are the known ones; a method that leaves this parameter out needs no more for them.
         Any integer type will do. A class whose answer is fixed sets an integer in place of the method.
         """
         return 0
@@ -601,3 +611,12 @@ class Controller(ABC):
         if not is_dataclass(self):
             return {}
         return {field.name: to_plain(getattr(self, field.name)) for field in fields(self) if field.init}
+
+
+def _asks_for_disturbances(recording_length: Callable[..., Any]) -> bool:
+    """Whether a method takes the number of known disturbances after those of the other signals."""
+    try:
+        inspect.signature(recording_length).bind(None, 1, 1, 1, 0)
+    except TypeError:
+        return False
+    return True

@@ -324,7 +324,7 @@ def elements_of(variable: DescribedVariable) -> str:
     return ", ".join(named) + (f" and {hidden} more" if hidden > 0 else "")
 
 
-_ACTUATOR, _SWITCH = "_u", "_activate"
+_ACTUATOR, _SWITCH, _APPLIED = "_u", "_activate", "_y"
 _SWITCHES = re.compile(r"activat|overrid|overwrit", re.IGNORECASE)
 
 
@@ -341,6 +341,14 @@ def switches_of(description: Declarations) -> dict[str, str]:
         if name.endswith(_ACTUATOR) and source.values == "real"
     }
     return {name: switch for name, switch in pairs.items() if switch in inputs and _is_switch(inputs[switch])}
+
+
+def applied_output(actuator: str) -> str:
+    """Return the name of the output that tells what acts as an actuator, whoever drives it; empty: none does.
+
+    By BOPTEST's convention it is ``NAME_y``: the output of the block that ``NAME_u`` overrides.
+    """
+    return actuator.removesuffix(_ACTUATOR) + _APPLIED if actuator.endswith(_ACTUATOR) else ""
 
 
 def switch_faults(given: Mapping[str, str], inputs: Iterable[str]) -> Iterator[tuple[str, str]]:

@@ -24,8 +24,8 @@ def study_text(
 ) -> str:
     """Return a study of one second in steps of 0.1 s, and with what is given in place of or beside that.
 
-    A reference that is a number is constant. A controller is its section or its type, by which it is called
-    where it has no name.
+    A reference that is a number is constant; without any there is no such section. A controller is its
+    section or its type, by which it is called where it has no name.
     """
     if not isinstance(controllers, Mapping):
         controllers = {kind.rpartition(":")[2].lower(): kind for kind in controllers}
@@ -38,7 +38,8 @@ def study_text(
         for name, section in controllers.items()
     }
     tables = {"plant": plant, "loop": {"sampling_time": 0.1, "duration": 1.0} | loop}
-    return tomli_w.dumps(others | tables | {"reference": references, "controllers": sections})
+    tables |= {"reference": references} if references else {}
+    return tomli_w.dumps(others | tables | {"controllers": sections})
 
 
 def write(folder: Path, text: str, name: str = "study.toml") -> Path:

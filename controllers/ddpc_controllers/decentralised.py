@@ -57,11 +57,11 @@ class Decentralised(Wrapper):
         super().__post_init__()
         self.horizon = max(group.controller.horizon for group in self.groups)
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the longest that one of the controllers needs."""
         return max(
             group.controller.recording_length(
-                len(group.inputs), len(group.outputs), len(group.measurements) or measurements
+                len(group.inputs), len(group.outputs), len(group.measurements) or measurements, disturbances
             )
             for group in self.groups
         )

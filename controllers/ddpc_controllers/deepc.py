@@ -234,9 +234,10 @@ class BehavioralTracking(Foresight, ScaledSignals):
         look = outlook.in_c(code, f"{memory} + {sizes['u_ini'] + sizes['y_ini'] + sizes['r']}", steps)
         return code.step(f"{look}step_window(&{window}, {memory}, sample, u, told);")
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return the fewest samples that can excite the inputs up to the order needed."""
-        return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
+        """Return the fewest samples with which all that moves the plant can excite it enough."""
+        moving = inputs + disturbances
+        return max(least_samples(self._order_needed(outputs), moving), self._layout.depth)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant and the time ahead."""

@@ -455,13 +455,14 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
             "at_once": code.doubles(-self._model.at_once),
         }
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the samples at which there are as many equations as coefficients."""
         size, skipped = measurements, 0
         if self.state == "delays":
             size, skipped = (self.delays + 1) * outputs + self.delays * inputs, self.delays
-        lifted = size + self.dictionary.functions(size)
-        return skipped + memory_of(self.dictionary) + lifted + inputs + 1
+        # The lifted state remembers disturbances beside them, and the next one counts as much as this one.
+        lifted = size + self.dictionary.functions(size) + skipped * disturbances
+        return skipped + memory_of(self.dictionary) + lifted + inputs + 2 * disturbances + 1
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""

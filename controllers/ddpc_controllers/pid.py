@@ -436,7 +436,7 @@ class PID(Exportable):
         self._u[self._pairs] = limited
         return self._u.copy()
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the fewest samples that a step test can be read from; 0 where none is needed."""
         return fewest_test_samples(inputs) if self.uses_recording else 0
 

@@ -247,10 +247,11 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         )
         return code.step(f"{look}{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return the fewest samples that can excite the inputs up to the order needed."""
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
+        """Return the fewest samples with which all that moves the plant can excite it enough."""
         order = measurements + self.dictionary.functions(measurements)
-        return memory_of(self.dictionary) + least_samples(self.initial_length + self.horizon + order, inputs)
+        depth, moving = self.initial_length + self.horizon, inputs + disturbances
+        return memory_of(self.dictionary) + least_samples(depth + order, moving)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""

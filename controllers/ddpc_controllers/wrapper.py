@@ -149,9 +149,9 @@ class SingleWrapper(Wrapper):
         super().__post_init__()
         self.horizon = self.controller.horizon
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return what the controller needs."""
-        return self.controller.recording_length(inputs, outputs, measurements)
+        return self.controller.recording_length(inputs, outputs, measurements, disturbances)
 
     @property
     def _held(self) -> Sequence[Controller]:

@@ -258,11 +258,11 @@ def cosimulate(
     later = max(horizon, horizon_of(warmer)) if setup.disturbances.looks_ahead else 0
     first, samples = warm_up_steps, steps + 1
     whole = begin + np.arange(first + samples + later, dtype=np.float64) * sampling_time
-    past = recording if continue_recording else None
+    past, unknown = recording if continue_recording else None, tuple[str, ...]()
     if first:
         setup.start(whole, ahead=later)
         warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
-        past, y_plant = warm.recording, warm.y_plant
+        (past, unknown), y_plant = setup.taken_over(warmer, warm.recording), warm.y_plant
         if switched != before:
             set_plant_parameters(plant, switched, start_time)
     time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
@@ -282,6 +282,7 @@ def cosimulate(
     knowledge = controller_knowledge(controller, loop)
     warnings = recording_warnings(loop, wish.reference) if learns else ()
     warnings += controller_warnings(controller)
+    warnings += () if isinstance(controller, PlantControl) else unknown
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), store)
     if not first:
         setup.start(whole, ahead=later, continues=continue_recording)

@@ -225,10 +225,12 @@ def learns_from_recording(controller: Controller) -> bool:
         return bool(controller.uses_recording)
 
 
-def recording_length(controller: Controller, inputs: int, outputs: int, measurements: int) -> int:
+def recording_length(
+    controller: Controller, inputs: int, outputs: int, measurements: int, disturbances: int = 0
+) -> int:
     """Return the fewest samples of a recording that a controller can start with, for so many signals."""
     with _ControllerCall(controller, "recording_length"):
-        return int(controller.recording_length(inputs, outputs, measurements))
+        return int(controller.recording_length(inputs, outputs, measurements, disturbances))
 
 
 def settings_of_other(

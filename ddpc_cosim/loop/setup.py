@@ -11,6 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
 from ddpc_cosim.controller import Controller, Loop, Recording
+from ddpc_cosim.description import applied_output
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop.disturbances import ActingDisturbances
@@ -366,6 +367,32 @@ class LoopSetup:
         """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
         left = self._is_left[self._is_driven]
         return np.where(left, np.nan, u) if isinstance(controller, PlantControl) else u
+
+    def taken_over(self, controller: Controller, past: Recording) -> tuple[Recording | None, tuple[str, ...]]:
+        """Return what is known of the samples before a run, under this controller, and what is not known.
+
+        Of inputs that were left to the plant its own control applied others than the recorded ones: what is
+        measured of those stands in their place. Where nothing is measured of one, there is no past.
+        """
+        if not isinstance(controller, PlantControl):
+            return past, ()
+        measured = {variable.name: i for i, variable in enumerate(self.measurements)}
+        u, unknown = past.u.copy(), list[str]()
+        for i, variable in enumerate(self.inputs):
+            if variable.name not in self._switches:
+                continue
+            place = measured.get(applied := applied_output(variable.name))
+            if place is None or self.measurements[place].unit != variable.unit:
+                remedy = f", as {applied} in {variable.unit} would" if applied else ""
+                unknown.append(f"{variable.name} (no measurement tells{remedy})")
+            elif not np.isfinite(past.measured[:, place]).all():
+                unknown.append(f"{variable.name} (measurements of {applied} are missing)")
+            else:
+                u[:, i] = past.measured[:, place]
+        if not unknown:
+            return replace(past, u=u), ()
+        what = "the warm-up is under the plant's own control, and it is not known what that applied of"
+        return None, (f"{what} {', '.join(unknown)}: controllers start as from rest, without a past",)
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""

@@ -117,6 +117,12 @@ class Disturbances:
             known[name] = disturbance
         return known
 
+    def count(self, scenario: str) -> int:
+        """Return of how many a scenario lets controllers know, but for those that are wrong."""
+        wrong = {place[1] for place in self.errors.found if place[:1] == _DISTURBANCES and place[1:]}
+        possible = self.variables.keys() - wrong
+        return sum(known.is_known for name, known in self.of(scenario).items() if name in possible)
+
     def of_inputs_in(self, scenario_inputs: Mapping[str, Reference]) -> dict[str, Reference]:
         """Return the signals of inputs in a scenario, given those that it says itself."""
         signals = {name: signal for name, signal in self.signals.items() if name in self.of_inputs}

@@ -185,7 +185,8 @@ class Problem:
     sampling_time, duration : float or str
         Time between samples and simulated time [s], or as people say it: ``"15 min"``.
     reference : Reference or Band, or mapping of str to these
-        What is wanted of the controlled output, or of each by name, in their units.
+        What is wanted of the controlled output, or of each by name, in their units; none, ``{}``, where only
+        :class:`PlantControl` competes.
     inputs, outputs, measurements : sequence of str, optional
         What is driven, controlled and measured; default: all, and the controlled outputs.
     bounds : mapping of str to (limit, limit), or to mapping of str to limit or str
@@ -353,7 +354,7 @@ class Problem:
         tables = {
             "plant": self._plant_table(),
             "loop": _of(LoopSection, self, "start", "warm_up_controller"),
-            "reference": plain(references, "reference of {}"),
+            **({"reference": plain(references, "reference of {}")} if references else {}),
             "bounds": _limits(self.bounds),
             "disturbances": plain(self.disturbances, "disturbance {}"),
             "prices": plain(self.prices, "price {}"),

@@ -107,7 +107,8 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
 
 def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
     """Say which references go beyond the limits of their outputs, and for whom, where not for all."""
-    for name, problem in problems.items():
+    controlled = {name: problem for name, problem in problems.items() if problem.outputs}
+    for name, problem in controlled.items():
         loop = problem.study.loop
         time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
         by_text: dict[str, list[tuple[str, str]]] = {}

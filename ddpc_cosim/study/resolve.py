@@ -234,6 +234,7 @@ class _Resolution:
         self.stabiliser = resolve_stabiliser(study, folder, errors, self.in_time)
         self.warm_up = resolve_warm_up(study, folder, errors, self.in_time)
         self.horizon = max((controller.horizon for controller in self.controllers), default=0)
+        self.is_free = self._is_free()
         self._check_report()
         for controller in self.controllers:
             self._check_search(controller)
@@ -245,7 +246,7 @@ class _Resolution:
         self.plant, self.variables = plant
         self._check_plant()
         self._check_switches()
-        self.signals = SelectedSignals(study, self.variables, errors)
+        self.signals = SelectedSignals(study, self.variables, errors, self.is_free)
         self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
         self.measurements = self.signals.measurements
         self.disturbances = Disturbances(self.signals, self.horizon)
@@ -503,15 +504,19 @@ class _Resolution:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
         sizes = [selection.size for selection in (self.inputs, self.outputs, self.measurements)]
+        known = {scenario: self.disturbances.count(scenario) for scenario in self.study.scenarios}
         for i, controller in enumerate(self.controllers):
             if recording is None and controller.uses_recording:
                 lacking = "learns from a recording, and the study has no recording section"
                 self.errors.add(("controllers", controller.name), lacking, _RECORDING)
             elif recording is not None and controller.controller is not None and all(sizes):
-                needed = self._length_needed(i, controller.controller, sizes)
-                self._check_length(recording, controller.name, needed)
-                for scenario in self.study.scenarios:
-                    self._check_changed_length(scenario, controller.name, needed)
+                needed = {
+                    count: self._length_needed(i, controller.controller, (*sizes, count))
+                    for count in sorted(set(known.values()))
+                }
+                self._check_length(recording, controller.name, max(needed.values()))
+                for scenario, count in known.items():
+                    self._check_changed_length(scenario, controller.name, needed[count])
         if self.study.loop.start == "recording-end" and (recording is None or recording.file):
             lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
             self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)
@@ -606,9 +611,21 @@ class _Resolution:
                 ranked_by = "money and discomfort" if paid else f"{len(names)} controlled outputs"
                 self.errors.add(place, f"one number for {ranked_by}; {needed}")
 
+    def _is_free(self) -> bool:
+        """Return whether there is no reference and none is needed; report it where one is."""
+        place: Place = ("reference",)
+        if self.study.reference is not None or place in self.errors.found or self.errors.in_doubt(place):
+            return False
+        built = [controller.controller for controller in self.controllers]
+        if built and all(isinstance(controller, PlantControl) for controller in built):
+            return True
+        self.errors.add(place, "required key is missing")
+        self.errors.doubt(place)
+        return False
+
     @independent
     def _references(self) -> dict[str, Reference | Band] | None:
-        sections, variables = self.study.reference, self.variables.outputs
+        sections, variables = self.study.reference or {}, self.variables.outputs
         self.signals.require_each(("reference",), "controlled output", sections, self.outputs)
         lines = {name: section for name, section in sections.items() if not isinstance(section, BandSection)}
         references: dict[str, Reference | Band] = {**self.signals.build(("reference",), lines, variables)}

@@ -46,9 +46,13 @@ class SelectedSignals:
         All variables of its plant.
     errors : ValidationErrors
         What was found before; what is found here is added.
+    is_free : bool
+        Nothing is controlled: outputs are measured only.
     """
 
-    def __init__(self, study: Study, variables: PlantDescription, errors: ValidationErrors) -> None:
+    def __init__(
+        self, study: Study, variables: PlantDescription, errors: ValidationErrors, is_free: bool = False
+    ) -> None:
         self.study, self.variables, self.errors = study, variables, errors
         plant = study.plant
         inputs = variables.default_inputs or tuple(variables.inputs)
@@ -65,6 +69,8 @@ class SelectedSignals:
         )
         if not plant.measurements and not errors.in_doubt(_MEASUREMENTS):
             self.measurements = self.outputs
+        if is_free:
+            self.outputs = Selection((), self.outputs.is_known, 0)
 
     def _select(
         self,

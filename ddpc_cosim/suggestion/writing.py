@@ -65,7 +65,9 @@ class Proposal:
     @property
     def setpoints(self) -> dict[str, Steps]:
         """The references, which are steps, by output."""
-        return {name: signal for name, signal in self.study.reference.items() if isinstance(signal, Steps)}
+        return {
+            name: signal for name, signal in (self.study.reference or {}).items() if isinstance(signal, Steps)
+        }
 
     @property
     def sampling_time(self) -> float:
@@ -112,7 +114,7 @@ def _remarks(proposal: Proposal) -> dict[Place, str]:
     for key in ("inputs", "outputs", "measurements"):
         signals: Sequence[Variable] = getattr(proposal, key)
         remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}
-    remarks |= {("reference", name, "times"): "s" for name in proposal.study.reference}
+    remarks |= {("reference", name, "times"): "s" for name in proposal.study.reference or {}}
     remarks |= {("bounds", name): origin for name, origin in proposal.origins.items()}
     return remarks | {("recording", "excitation", v.name): _unit(v) for v in proposal.inputs}
 

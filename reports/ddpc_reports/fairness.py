@@ -88,6 +88,8 @@ def _preview(condition: Condition) -> _Terms:
 def _seen(controller: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
+    if not trace.outputs:
+        return _Fact("follows no reference", "follow no reference")
     if not trace.preview:
         if trace.outcome in _LOST:
             return _NOT_KNOWN

@@ -1,5 +1,7 @@
 """Plants as equations, for the controller that goes by them."""
 
+from dataclasses import replace
+
 from fmu_plants import Equations, PlantModel, Symbols, Variable
 
 
@@ -41,3 +43,28 @@ DISTURBED = PlantModel(
     inputs=(Variable("u1", min=-1.0, max=1.0), Variable("sun"), Variable("wind")),
     outputs=(Variable("y1"), Variable("y2")),
 )
+
+
+def oscillating_plant(v: Symbols) -> Equations:
+    """An oscillator, and what its motion heats."""
+    return Equations(
+        {"y1": v.x, "x": 2.0 * v.u1 - 4.0 * v.y1 - 0.6 * v.x + v.sun, "y2": 0.5 * v.x - v.y2 + v.wind}
+    )
+
+
+def integrating_plant(v: Symbols) -> Equations:
+    """A tank that fills, before it a lag."""
+    return Equations({"y1": 0.7 * v.y2 + 0.3 * v.sun, "y2": v.u1 - 2.0 * v.y2 + 0.4 * v.wind})
+
+
+def _disturbed(equations: object, *states: str) -> PlantModel:
+    return replace(
+        DISTURBED,
+        name=equations.__name__,
+        equations=equations,
+        states=tuple(Variable(name) for name in states),
+    )
+
+
+OSCILLATING = _disturbed(oscillating_plant, "y1", "x", "y2")
+INTEGRATING = _disturbed(integrating_plant, "y1", "y2")

@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ddpc_controllers import SPC, WKPC, DeePC, GammaDDPC
-from ddpc_controllers.data.dictionaries import ThinPlate
+from ddpc_controllers import MPC, SPC, WKPC, DeePC, GammaDDPC, Identified, KoopmanMPC
+from ddpc_controllers.data.dictionaries import Identity, ThinPlate
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_cosim import (
     Action,
     Bounds,
     Charge,
     ConfigError,
+    Controller,
     DataError,
     FloatArray,
     Loop,
@@ -404,6 +405,51 @@ def test_disturbances_have_to_excite_too(method: type[Method]) -> None:
         method(horizon=4).start(smooth)
     with pytest.raises(DataError, match="2 known disturbance\\(s\\), the loop has 1 \\(d0\\)"):
         method(horizon=4).start(replace(loop, recording=replace(loop.recording, d=np.hstack([wave, wave]))))
+
+
+LEARNING: dict[str, tuple[Controller, Callable[[int, int], int]]] = {
+    "DeePC": (DeePC(horizon=4, initial_length=3), lambda m, p: (m + 1) * (3 + 4 + 3 * p) - 1),
+    "SPC": (SPC(horizon=2, initial_length=2, assumed_order=3), lambda m, p: (m + 1) * (2 + 2 + 3) - 1),
+    "WKPC": (WKPC(horizon=2, initial_length=3, dictionary=Identity()), lambda m, p: (m + 1) * 8 - 1),
+    "Koopman MPC": (KoopmanMPC(state="measured", dictionary=Identity()), lambda m, p: 3 + m + 1),
+    "MPC": (MPC(model=Identified(lags=2)), lambda m, p: 2 + 2 * (m + p) + 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LEARNING)
+def test_a_recording_excites_disturbances_as_it_does_inputs(name: str) -> None:
+    """Together (m + n_d + 1) order - 1 samples; for models, as many equations as unknowns."""
+    controller, formula = LEARNING[name]
+    assert [controller.recording_length(m, 2, 3) for m in (1, 2)] == [formula(m, 2) for m in (1, 2)]
+    again = 2 if name == "Koopman MPC" else 0  # d at the next sample is an unknown too
+    assert controller.recording_length(2, 1, 3, 2) == formula(4, 1) + again
+
+
+@pytest.mark.parametrize(
+    "make_controller",
+    [
+        lambda: DeePC(horizon=3, initial_length=2),
+        lambda: WKPC(horizon=2, initial_length=2, dictionary=Identity()),
+        lambda: KoopmanMPC(state="delays", delays=2, dictionary=Identity()),
+        lambda: KoopmanMPC(state="measured", dictionary=Identity()),
+    ],
+)
+def test_what_it_asks_for_with_disturbances_is_the_shortest_it_starts_with(
+    make_controller: Callable[[], Controller],
+) -> None:
+    loop = replace(make(PLANTS["two inputs, two outputs"], 160), **NOTHING)
+    needed = make_controller().recording_length(2, 2, len(loop.measurements), 2)
+    whole = loop.recording
+    assert whole is not None
+    long, short = (
+        replace(loop, recording=Recording(
+            whole.u[:n], whole.y[:n], whole.measured[:n], SAMPLING_TIME, d=whole.d[:n]
+        ))
+        for n in (needed, needed - 1)
+    )  # fmt: skip
+    make_controller().start(long)
+    with pytest.raises(DataError, match="record longer"):
+        make_controller().start(short)
 
 
 def test_a_recording_too_short_for_its_disturbances_says_so() -> None:

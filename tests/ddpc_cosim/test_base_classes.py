@@ -163,8 +163,15 @@ class Fixed(Proportional):
 
 
 class Counted(Proportional):
+    """It was written before there were known disturbances."""
+
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> Any:
         return np.array([7, 9]).max() * inputs
+
+
+class Disturbed(Counted):
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> Any:
+        return super().recording_length(inputs, outputs, measurements, disturbances) + 5 * disturbances
 
 
 class Derived(Fixed):
@@ -178,6 +185,15 @@ def test_a_recording_length_is_any_integer_or_declared_as_one(kind: type[Control
     needed = recording_length(kind(), 2, 1, 1)
     assert (needed, type(needed)) == (samples, int)
     assert kind().recording_length(2, 1, 1) == samples
+
+
+@pytest.mark.parametrize(
+    ("kind", "samples"), [(Fixed, 40), (Counted, 18), (Derived, 80), (Proportional, 0), (Disturbed, 33)]
+)
+def test_who_does_not_ask_for_disturbances_needs_no_more_for_them(
+    kind: type[Controller], samples: int
+) -> None:
+    assert recording_length(kind(), 2, 1, 1, 3) == samples
 
 
 def test_a_study_is_told_of_a_recording_that_is_too_short_for_an_integer(tmp_path: Path) -> None:

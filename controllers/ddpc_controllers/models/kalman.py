@@ -239,9 +239,9 @@ class ModelBased(ScaledSignals):
         """Whether ``start`` needs a recording."""
         return self.model.uses_recording
 
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+    def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the fewest samples that the model's identification can work with."""
-        return self.model.recording_length(inputs, outputs)
+        return self.model.recording_length(inputs + disturbances, outputs)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""

@@ -74,7 +74,7 @@ class ModelSource(Protocol):
         return False
 
     def recording_length(self, inputs: int, outputs: int) -> int:
-        """Return the fewest samples of a recording that it can work with."""
+        """Return the fewest samples of a recording that it can work with; disturbances count as inputs."""
         return 0
 
     @abstractmethod

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 import piqp
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim import FloatArray, MissingLibraryError
 
@@ -29,6 +30,9 @@ _DAQP_INFEASIBLE = -1
 _EXCEEDED = 1e-8
 _CONTRADICTION = 1e-6
 _INSIGNIFICANT = 1e-9
+_ROUNDED = 1e-14
+_DEPENDENT = 1e-20
+_ITERATIONS = 10
 
 
 class Answer(NamedTuple):
@@ -67,11 +71,11 @@ class _ScaledProblems:
         largest = float(norms.max()) or 1.0
         # What hardly depends on t is rounding: it stays small.
         norms[norms <= _INSIGNIFICANT * largest] = largest
-        self.gain, self._norms = gain / norms[:, np.newaxis], norms
+        self.gain, self.norms = gain / norms[:, np.newaxis], norms
 
     def scale(self, excess: FloatArray) -> tuple[FloatArray, float]:
         """Return the excess in these units, and the unit of t."""
-        distance = excess / self._norms
+        distance = excess / self.norms
         unit = float(distance.max())
         unit = unit if unit > 0.0 else 1.0
         return distance / unit, unit
@@ -307,6 +311,48 @@ def least_distance(gain: FloatArray, excess: FloatArray) -> ActiveSet:
     """
     multipliers, distance = _multipliers(gain, excess)
     return tuple(np.flatnonzero(multipliers).tolist()) if distance > _CONTRADICTION else ()
+
+
+def nearest_feasible(gain: FloatArray, excess: FloatArray, tolerance: float) -> ActiveSet:
+    """Return the active bounds of the optimum, to rounding; empty if there is none.
+
+    Slower than the solvers, whose tolerances are parts of the largest excess: prices can put the optimum
+    without bounds so far away that they leave no digits. The dual active-set method (D. Goldfarb, A. Idnani,
+    Math. Program. 27, 1983, doi:10.1007/BF02591962) takes up one bound after another, and frees others.
+    """
+    problems = _ScaledProblems(gain)
+    gain, (excess, unit) = problems.gain, problems.scale(excess)
+    allowed = np.maximum(tolerance / (unit * problems.norms), _ROUNDED)
+    t, active, multipliers = np.zeros(gain.shape[1]), list[int](), np.empty(0)
+    for _ in range(_ITERATIONS * len(gain)):
+        beyond = excess + gain @ t - allowed
+        beyond[active] = -np.inf
+        new = int(beyond.argmax())
+        if beyond[new] <= 0.0:
+            return tuple(sorted(active))
+        multiplier = 0.0
+        while True:
+            directions, triangular = np.linalg.qr(gain[active].T)
+            along = directions.T @ gain[new]
+            across = gain[new] - directions @ along
+            across -= directions @ (directions.T @ across)
+            change = scipy.linalg.solve_triangular(triangular, along)
+            in_the_way = np.flatnonzero(change > 0.0)
+            steps = multipliers[in_the_way] / change[in_the_way]
+            length = float(across @ across)
+            whole = (excess[new] + gain[new] @ t) / length if length > _DEPENDENT else np.inf
+            step = min(whole, steps.min(initial=np.inf))
+            if not np.isfinite(step):
+                return ()
+            multipliers, multiplier = multipliers - step * change, multiplier + step
+            t = -(multipliers @ gain[active]) - multiplier * gain[new]
+            if step == whole:
+                active, multipliers = [*active, new], np.append(multipliers, multiplier)
+                break
+            freed = int(in_the_way[steps.argmin()])
+            del active[freed]
+            multipliers = np.delete(multipliers, freed)
+    return ()
 
 
 def _multipliers(gain: FloatArray, excess: FloatArray) -> tuple[FloatArray, float]:

@@ -30,7 +30,13 @@ import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
-from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, least_distance
+from ddpc_controllers.optimisation.backends import (
+    ActiveSet,
+    Backend,
+    PIQPBackend,
+    least_distance,
+    nearest_feasible,
+)
 from ddpc_controllers.optimisation.condensing import (
     CondensedProblem,
     ReducedProblem,
@@ -53,6 +59,7 @@ from ddpc_cosim import OK, Action, ConfigError, FloatArray, Variable
 FEASIBLE = 1e-11
 """By how much an optimum may exceed a bound, in parts of its range: rounding."""
 
+_ROUNDED = 1e-14
 _NO_CONFLICT = 1e-6
 _LARGEST_CONDITION = 1e6
 _SINGULAR = 1e-6
@@ -270,8 +277,14 @@ class _BoundedLaw(ABC):
         """Take the number of bounds, their names, and what must vanish, of new matrices."""
         self._bounds, self._labels = len(problem.excess_law), problem.labels
         self._conflict_law, self._watches_conflict = problem.conflict_law, problem.conflict_law.size > 0
+        # Bands and prices put optima at bounds that hardly matter, where a solver leaves half of the digits.
+        self._hardly_matter = any(label.startswith(BAND_OF_Y) for label in problem.labels)
         # Where nothing else would hold it back, an input that is not finite would pass.
         self._checks_inputs = self.limits.endless or not self._bounds
+
+    def _tolerance(self, excess: FloatArray) -> float:
+        """Return what an optimum may exceed a bound by; one without bounds that is far away is rounded."""
+        return FEASIBLE + _ROUNDED * float(np.abs(excess).max()) if self._hardly_matter else FEASIBLE
 
     def _move(
         self,
@@ -354,9 +367,7 @@ class ParametricQP(_BoundedLaw):
         if problem.paid:  # so many rows that they are left until they are asked for
             self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
             self._cost_law = np.vstack([cost_law, *problem.paid])
-        # Bands and prices put optima at bounds that hardly matter, where a solver leaves half of the digits.
-        in_bands = any(label.startswith(BAND_OF_Y) for label in problem.labels)
-        self._hardly_matter = in_bands or problem.paid is not None
+        self._hardly_matter = self._hardly_matter or problem.paid is not None
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
@@ -392,7 +403,7 @@ class ParametricQP(_BoundedLaw):
         if law is None:
             return False
         answer = np.dot(law, excess)
-        if not max(answer[: self._bounds].tolist()) <= FEASIBLE:
+        if not max(answer[: self._bounds].tolist()) <= self._tolerance(excess):
             return False
         u += answer[self._bounds :]
         return True
@@ -431,6 +442,8 @@ class ParametricQP(_BoundedLaw):
         yield active
         if failure or self._hardly_matter:
             yield least_distance(self._gain, excess - FEASIBLE)
+        if self._hardly_matter:
+            yield nearest_feasible(self._gain, excess, FEASIBLE)
 
 
 def make_law(
@@ -540,6 +553,7 @@ class AdaptiveQP(_BoundedLaw):
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
         self._paid = int(len(reduced.prices) > 0)
+        self._hardly_matter = self._hardly_matter or self._paid > 0
         if self._paid:
             linear = linear + reduced.slope
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
@@ -619,7 +633,10 @@ class AdaptiveQP(_BoundedLaw):
             self._backend.load(gain)
             t, active, failure = self._backend.solve(excess)
             # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
-            exact = _certified(gain, excess, active)
+            exact = _certified(gain, excess, active, self._tolerance(excess))
+            if exact is None and self._hardly_matter:
+                active = nearest_feasible(gain, excess, FEASIBLE) or active
+                exact = _certified(gain, excess, active, self._tolerance(excess))
             if failure and exact is None:
                 return None
             t, self._active = (t if exact is None else exact), active
@@ -629,14 +646,16 @@ class AdaptiveQP(_BoundedLaw):
     def _deviation(self, gain: FloatArray, excess: FloatArray) -> FloatArray | None:
         """Try the last active set, and then the bounds that are exceeded."""
         for active in (self._active, tuple(np.flatnonzero(excess > 0.0).tolist())):
-            t = _certified(gain, excess, active)
+            t = _certified(gain, excess, active, self._tolerance(excess))
             if t is not None:
                 self._active = active
                 return t
         return None
 
 
-def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> FloatArray | None:
+def _certified(
+    gain: FloatArray, excess: FloatArray, active: ActiveSet, tolerance: float
+) -> FloatArray | None:
     """Return the optimum on an active set where it proves to be that of the problem, None otherwise."""
     if not active:
         return None
@@ -649,4 +668,4 @@ def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> Float
         return None
     t = -(multipliers @ rows)
     beyond = max((excess + gain @ t).tolist())
-    return np.asarray(t) if beyond <= FEASIBLE else None
+    return np.asarray(t) if beyond <= tolerance else None

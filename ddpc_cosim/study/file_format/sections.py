@@ -828,8 +828,8 @@ class Study(StudyHead):
     varied: dict[str, Any] = setting({}, doc="what differs from that problem, by its path")
     plant: PlantSection = setting(doc="what is controlled")
     loop: LoopSection = setting(doc="timing of the closed loop")
-    reference: Annotated[dict[str, Wanted], Size(1)] = setting(
-        doc="one signal or band for each controlled output"
+    reference: Annotated[dict[str, Wanted], Size(1)] | None = setting(
+        None, doc='one signal or band for each controlled output; none where only type = "plant" competes'
     )
     bounds: dict[str, BoundsSection] = setting(
         {}, doc="limits of inputs and controlled outputs in place of the plant's"

@@ -125,7 +125,7 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
     failure = _distance(case.tracking, sizes, unavoidable)
-    if not failure and completed:
+    if not failure and completed and outputs:
         failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
     tasks = {name: sizes[name] * output.factor for name, output in outputs.items()}

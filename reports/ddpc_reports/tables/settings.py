@@ -250,10 +250,14 @@ def _interval(variable: Variable, low: float, high: float) -> str:
 def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
     """Return plant, timing, references, limits, recording and scenarios: everything that the study sets."""
     study = results.study
-    facts = [("study", study.name), *_plant_facts(study.plant, units), *_timing_facts(study.loop)]
+    facts = [
+        ("study", study.name),
+        *_plant_facts(study.plant, units, controls=bool(study.reference)),
+        *_timing_facts(study.loop),
+    ]
     facts += [
         (f"{_wanted_as(section) or what} of {name}", _signal(section, units.get(name, "")))
-        for what, sections in (("reference", study.reference), ("limits", study.bounds))
+        for what, sections in (("reference", study.reference or {}), ("limits", study.bounds))
         for name, section in cast("Mapping[str, Any]", sections).items()
     ]
     facts += _outside_facts(study, units)
@@ -336,13 +340,13 @@ def _course(value: Any, unit: str) -> str:
     return f"{_written_signal(write(value))} (values in {symbol})"
 
 
-def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
+def _plant_facts(plant: PlantSection, units: Mapping[str, str], controls: bool) -> list[tuple[str, str]]:
     said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters", "nominal"}
     said |= {"ssp", "parts", "connections", "coupling"}
     return [
         *_what_plant(plant),
         ("inputs", _names(plant.inputs) or "all of the plant"),
-        ("controlled outputs", _names(plant.outputs) or "all of the plant"),
+        ("controlled outputs", _names(plant.outputs) or ("all of the plant" if controls else "none")),
         ("measurements", _names(plant.measurements) or "the controlled outputs"),
         ("plant parameters changed", mapping_text(plant.parameters)),
         *(

@@ -68,6 +68,7 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "SPC, measured only": lambda: SPC(horizon=5, use_forecast=False),
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=6, scaling="range"),
     "MPC": lambda: MPC(horizon=6),
+    "MPC, cheap inputs": lambda: MPC(horizon=16, input_weight=1e-3),
     "MPC, outputs": lambda: MPC(
         horizon=5, setpoint="none", soft_output_bounds=1e3, rate_bounds=0.4, scaling="range"
     ),
@@ -141,11 +142,18 @@ def test_the_fmu_has_inputs_for_all_of_it(ahead: bool, tmp_path: Path) -> None:
 
 
 ON_THE_PENDULUM = ("DeePC", "DeePC, plans", "SPC", "gamma-DDPC", "WKPC", "MPC, outputs", "LQR", "PID")
+ON_BOTH = ("MPC", "MPC, cheap inputs", "Koopman MPC", "Koopman MPC, delays")
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_all_of_it_is_decided_as_in_python(name: str) -> None:
-    plant, preview = ("pendulum", 2) if name in ON_THE_PENDULUM else ("two inputs, two outputs", 50)
+@pytest.mark.parametrize(
+    ("name", "plant"),
+    [
+        *((name, "pendulum") for name in (*ON_THE_PENDULUM, *ON_BOTH)),
+        *((name, "two inputs, two outputs") for name in METHODS if name not in ON_THE_PENDULUM),
+    ],
+)
+def test_all_of_it_is_decided_as_in_python(name: str, plant: str) -> None:
+    preview = 2 if plant == "pendulum" else 50
     beside = side_by_side(METHODS[name](), PLANTS[plant], preview)
     assert beside.difference <= 1e-8
     assert not beside.disagreements

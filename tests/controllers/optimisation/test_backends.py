@@ -9,7 +9,14 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers import MPC, DeePC, KoopmanMPC
-from ddpc_controllers.optimisation.backends import BACKENDS, Answer, Backend, contradiction, make_backend
+from ddpc_controllers.optimisation.backends import (
+    BACKENDS,
+    Answer,
+    Backend,
+    contradiction,
+    make_backend,
+    nearest_feasible,
+)
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Recording, Sample
 
 from ..full_problem import FullDeePC
@@ -42,6 +49,26 @@ def test_each_finds_the_optimum_and_its_active_set(name: str) -> None:
             assert failure == ""
             assert t == pytest.approx(expected, abs=1e-6)
             assert set(active) == set(np.flatnonzero(excess + gain @ expected > -1e-7))
+
+
+@given(seed=st.integers(0, 2**32 - 1), active=st.integers(1, 6), far=st.floats(0.0, 9.0))
+@settings(max_examples=200, deadline=None)
+def test_the_bounds_of_an_optimum_are_found_however_far_it_is(seed: int, active: int, far: float) -> None:
+    """By its optimality conditions: multipliers are drawn, and the excess that they belong to."""
+    rng = np.random.default_rng(seed)
+    gain, slack = rng.standard_normal((14, 8)), rng.uniform(0.1, 1.0, 14)
+    multipliers = np.zeros(14)
+    multipliers[:active] = 10.0**far * rng.uniform(0.1, 1.0, active)
+    slack[:active] = 0.0
+    excess = gain @ gain.T @ multipliers - slack
+    assume(np.linalg.cond(gain[:active]) < 1e3)
+    scales = 10.0 ** rng.uniform(-2.0, 2.0, 14)
+    assert nearest_feasible(scales[:, np.newaxis] * gain, scales * excess, 1e-11) == tuple(range(active))
+
+
+def test_no_bounds_are_those_of_an_optimum_where_there_is_none() -> None:
+    gain = np.array([[1.0, 0.0], [-1.0, 0.0], [0.5, 1.0]])
+    assert nearest_feasible(gain, np.array([0.5, 0.5, -9.0]), 1e-11) == ()
 
 
 @pytest.mark.parametrize("name", BACKENDS)

@@ -22,8 +22,10 @@ from ddpc_cosim import (
     Plant,
     PlantControl,
     Price,
+    Problem,
     Sample,
     SignalExcitation,
+    Study,
     Variable,
     cosimulate,
     record,
@@ -33,6 +35,7 @@ from ddpc_cosim.description import describe
 from ddpc_cosim.inspection import as_data, inspect_fmu
 from ddpc_cosim.study.cases import doing_nothing, run_case
 from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.results import report_writer
 from ddpc_cosim.suggestion import suggest_study
 from fmu_plants import Equations, Parameter, PlantModel, Symbols, build_fmu
 
@@ -274,6 +277,43 @@ def test_a_warm_up_is_the_plants_own_unless_it_has_a_controller(room: Path) -> N
     np.testing.assert_allclose(own.y[:, 0], expected, rtol=1e-6)
 
 
+class TakesOver(Heats):
+    """Keeps what it is told of the samples before."""
+
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        self.past = loop.past
+
+
+@pytest.mark.parametrize("unit", ["W", "kW", None])
+def test_a_past_under_the_plants_own_control_has_what_that_applied_or_is_none(unit: str | None) -> None:
+    plant, warm = TellingRoom(unit), 4 * H
+    controller = TakesOver()
+    trace = loop_of(plant, controller, warm_up=warm)
+    zone = euler(lambda y: GAIN * (SETPOINT - y))
+    assert trace.y[0, 0] == pytest.approx(zone[4])
+    if unit == "W":
+        assert controller.past is not None
+        assert controller.past.u[:, 0] == pytest.approx(GAIN * (SETPOINT - np.array(zone[:4])))
+        assert controller.past.y[:, 0] == pytest.approx(zone[:4])
+        assert trace.warnings == ()
+    else:
+        assert controller.past is None
+        (warning,) = trace.warnings
+        assert "not known what that applied of oveHeat_u (no measurement tells, as oveHeat_y in W" in warning
+    # Who has driven it knows, and of the plant's own control that goes on no past is wanted.
+    loop_of(plant, controller, warm_up=warm, warm_up_controller=Heats())
+    assert controller.past is not None
+    assert controller.past.u[:, 0].tolist() == [1000.0] * 4
+    assert loop_of(plant, PlantControl(), warm_up=warm).warnings == ()
+
+
+def test_what_a_plant_applies_is_only_known_where_it_is_measured() -> None:
+    controller = TakesOver()
+    loop_of(TellingRoom("W"), controller, warm_up=2 * H, measurements=["reaTZon_y"])
+    assert controller.past is None
+
+
 def test_what_an_input_costs_is_not_known_of_the_plants_own_control(room: Path) -> None:
     prices = {
         "asked": Price(signal="oveHeat_u", price=0.25, unit="EUR/kWh"),
@@ -320,6 +360,33 @@ class PythonRoom(Plant):
         heat = activate * u_heat + (1.0 - activate) * GAIN * (SETPOINT - self.x[0])
         self.x = self.x + h * (LOSS * (outside - self.x) + heat) / CAPACITY
         return self.x.copy()
+
+
+class TellingRoom(PythonRoom):
+    """The same, and an output that tells the heat, in a unit; None: it does not."""
+
+    def __init__(self, unit: str | None) -> None:
+        self.switches = {"oveHeat_u": "oveHeat_activate"}
+        self.inputs = ROOM.inputs[:1]
+        self._tells = unit is not None
+        self.outputs = (ZONE, *([Variable("oveHeat_y", unit)] if unit else []))
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        self._activate = float((parameters or {})["oveHeat_activate"])
+        super().reset()
+        return self._seen(0.0)
+
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
+        self._activate = float(parameters["oveHeat_activate"])
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        super().step(np.array([u[0], self._activate, OUTSIDE]), h)
+        return self._seen(u[0])
+
+    def _seen(self, u: float) -> FloatArray:
+        own = GAIN * (SETPOINT - self.x[0])
+        heat = u if self._activate else own
+        return np.append(self.x, [heat] if self._tells else [])
 
 
 def euler(step: Callable[[float], float]) -> list[float]:
@@ -383,6 +450,52 @@ def test_inspect_and_init_take_an_override_as_one_input(room: Path) -> None:
     assert "oveHeat_activate" not in proposal.study.plant.start
     # The gain of what is driven, and not of what the room's own control leaves of it.
     assert proposal.gains[0, 0] == pytest.approx(1.0 / LOSS, rel=0.05)
+
+
+def test_a_study_of_the_plants_own_control_alone_needs_no_reference(tmp_path: Path) -> None:
+    """What there is to say of it is what it costs; nothing is tracked."""
+    plant = {"name": f"{__name__}:ROOM", "inputs": ["oveHeat_u"], "outputs": ["reaTZon_y", "reaPHea_y"]}
+    heat = {"signal": "reaPHea_y", "price": 0.25, "unit": "EUR/kWh"}
+    options = {"plant": plant, "reference": {}, "controllers": {"own": "plant"}, "prices": {"heat": heat}}
+    text = room_study(**options, seeds=[0, 1])
+    assert "[reference" not in text
+    results = run_file(write(tmp_path, text))
+    trace, figures = results.cases[0].trace(), results.cases[0].metrics
+    np.testing.assert_allclose(trace.measured[:, 0], controlled_by_itself(trace.time), rtol=1e-6)
+    assert (trace.outputs, results.cases[0].failed, results.cases[0].settles) == ((), False, None)
+    energy = GAIN * (SETPOINT - trace.measured[:-1, 0]).sum() * H / 3.6e6
+    assert figures["energy [kWh]"] == pytest.approx(energy, rel=0.05)
+    assert figures["money [EUR]"] == pytest.approx(0.25 * figures["energy [kWh]"])
+    assert not [key for key in figures if "error" in key or "settling" in key or ".reaTZon_y" in key]
+    # What it is written out as is read again, to the same cases.
+    again = cases_in(results.folder / "study.toml")
+    assert [case.id for case in again] == [case.id for case in cases_in(tmp_path / "study.toml")]
+    report = report_writer("md")([results], tmp_path / "report.md").read_text(encoding="utf-8")
+    assert f"money {figures['money [EUR]']:.3g}" in report
+    assert "follows no reference" in report
+    assert "| controlled outputs | none |" in report
+    assert "nan" not in report
+
+
+def test_a_study_of_any_other_controller_needs_a_reference(tmp_path: Path) -> None:
+    controllers = {"own": "plant", "idle": "idle"}
+    with pytest.raises(ConfigError) as error:
+        read_study(str(write(tmp_path, room_study(reference={}, controllers=controllers))))
+    assert [fault.split(": ", 1)[1] for fault in error.value.faults] == ["reference: required key is missing"]
+
+
+def test_a_problem_of_the_plants_own_control_alone_needs_no_reference(tmp_path: Path) -> None:
+    problem = Problem(
+        plant=f"{__name__}:ROOM",
+        inputs=["oveHeat_u"],
+        outputs=["reaTZon_y"],
+        sampling_time=H,
+        duration=SAMPLES * H,
+        reference={},
+    )
+    (case,) = Study(problem, {"own": PlantControl()}).run(tmp_path / "results").cases
+    time = case.trace().time
+    np.testing.assert_allclose(case.trace().measured[:, 0], controlled_by_itself(time), rtol=1e-6)
 
 
 def test_the_plants_own_control_needs_no_reference(room: Path) -> None:

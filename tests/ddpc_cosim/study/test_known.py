@@ -93,6 +93,18 @@ def cases_of_house(folder: Path, **changes: Any) -> dict[str, Case]:
     return {f"{case.controller}, {case.scenario}": case for case in cases_in(path)}
 
 
+@pytest.mark.parametrize(("known", "moving"), [("perfect", 3), ("unknown", 2)])
+def test_a_recording_has_to_excite_what_controllers_know_of(tmp_path: Path, known: str, moving: int) -> None:
+    """The heating and two disturbances, or one: for depth and order of windows, (m + n_d + 1) order - 1."""
+    needed = (moving + 1) * (3 + 8 + 3) - 1
+    windows = {"horizon": 8, "initial_length": 3}
+    changes = {"controllers__deepc__settings": windows, "scenarios__blind": None}
+    changes["disturbances__outdoor_temperature__known"] = known
+    assert len(cases_of_house(tmp_path, recording__samples=needed, **changes)) == 2
+    told = errors_of(house(recording__samples=needed - 1, **changes), tmp_path)
+    assert told == [f"recording.samples: {needed - 1} is too short for deepc, which needs {needed}"]
+
+
 def test_a_case_has_all_that_is_said(tmp_path: Path) -> None:
     cases = cases_of_house(tmp_path)
     case, blind = cases["pid, nominal"], cases["pid, blind"]
