@@ -318,4 +318,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main() > 0)
+    from benchmarks import knowing  # by its name, under which workers find its controller
+
+    raise SystemExit(knowing.main() > 0)
