@@ -3,45 +3,75 @@
 Every method is tuned anew for what is known, by the same random trials on two seeds, and judged by the median
 of its mean absolute error over twenty others. Without the disturbance it is the better of two: recorded with
 the disturbance at rest, and recorded with it moving. It is random, in the recording and in the run.
+Trials differ in whether what is measured is held, or goes on as it did in the recording; where there are
+errors, in whether the forecast is used at all.
 
     python -m benchmarks.knowing building column drive steps --trials 24
+    python -m benchmarks.knowing building column steps --shuffled
+
+With ``--shuffled`` a perfect forecast is set against one whose rows are in a random order, another one at
+every sample: were the errors with that not larger, the gain would not come from the forecast.
 """
 
 import argparse
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ddpc_controllers import MPC, SPC, DeePC
+from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import (
+    Action,
     Constant,
     Controller,
     Interpolated,
     KnownDisturbance,
+    Loop,
     Problem,
     Product,
     RandomLevels,
     Reference,
+    Sample,
     Sine,
     Steps,
     Study,
     Sum,
     UniformRandom,
 )
+from ddpc_cosim.study.verdicts.statistics import LEVEL, compare
 
 HOUR, DAY = 3600.0, 86400.0
+METHODS = ("DeePC", "SPC", "MPC")
 MODES = ("at rest", "moving", "measured", "medium", "perfect")
 WITHOUT = MODES[:2]
 CONSTANT = {"measured": 0.70, "medium": 0.75, "perfect": 0.70}
 """What may be left at a constant reference."""
 OF_STEPS = {"building": 0.90, "column": 0.75, "drive": 0.75}
 """What may be left at the references of the benchmark, whatever is known."""
+AHEAD: dict[str, Sequence[Any]] = {"measured": (False, "identified"), "medium": (True, False, "identified")}
+"""What trials do with forecasts, by turns, where these are not without errors."""
 FORESEEN, ELSEWHERE = 0.90, 1.10
 """A perfect forecast over what is measured: of a load that comes in steps, and of others."""
 TUNED_ON, JUDGED_ON = range(100, 102), range(20)
+
+
+@dataclass(kw_only=True)
+class Shuffled(SingleWrapper):
+    """Another controller, which is shown the rows of its forecasts in a random order."""
+
+    def start(self, loop: Loop) -> None:
+        """Start the controller."""
+        self._order = np.random.default_rng(loop.rng.integers(2**32))
+        self._start_inside(loop)
+
+    def step(self, sample: Sample) -> Action:
+        """Return the controller's inputs for the shuffled forecast."""
+        return self._inner.step(sample._replace(forecast=self._order.permutation(sample.forecast)))
 
 
 class Task(NamedTuple):
@@ -177,8 +207,8 @@ def errors(
     controllers: Mapping[str, Controller],
     seeds: Sequence[int],
     jobs: int,
-) -> dict[str, float]:
-    """Return the median of each controller's mean absolute errors, added up over the outputs."""
+) -> dict[str, list[float]]:
+    """Return each controller's mean absolute error by seed, added up over outputs; infinite if it fails."""
     known: Any = "unknown" if mode in WITHOUT else mode
     keywords = dict(task.keywords)
     if of_steps:
@@ -199,23 +229,56 @@ def errors(
             figures = [value for key, value in case.metrics.items() if key.startswith("mean_abs_error")]
             complete = case.outcome == "completed" and np.isfinite(figures).all()
             found.setdefault(case.label, []).append(float(np.sum(figures)) if complete else np.inf)
-    return {label: float(np.median(values)) for label, values in found.items()}
+    return found
 
 
-def judged(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict[str, float]:
-    """Return the error of each method with its best settings, in units of the outputs."""
-    tried = {
+def tuned(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict[str, Any]:
+    """Return each method with the best of the settings that it is tried with."""
+    tried: dict[str, Any] = {
         f"{method} {number}": controller
         for method, controllers in trials(count, task).items()
         for number, controller in enumerate(controllers)
     }
+    ahead = AHEAD.get(mode, (True,))
+    for number, (label, controller) in enumerate(tried.items()):
+        tried[label] = replace(controller, use_forecast=ahead[number % len(ahead)])
     figures = errors(task, mode, of_steps, tried, TUNED_ON, jobs)
     best = {
-        method: min((label for label in tried if label.startswith(f"{method} ")), key=figures.__getitem__)
-        for method in ("DeePC", "SPC", "MPC")
+        method: min(
+            (label for label in tried if label.startswith(f"{method} ")), key=lambda of: median(figures[of])
+        )
+        for method in METHODS
     }
-    chosen = {method: tried[label] for method, label in best.items()}
-    return errors(task, mode, of_steps, chosen, JUDGED_ON, jobs)
+    return {method: tried[label] for method, label in best.items()}
+
+
+def judged(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict[str, float]:
+    """Return the median error of each method with its best settings, in units of the outputs."""
+    chosen = tuned(task, mode, of_steps, count, jobs)
+    return {
+        method: median(values)
+        for method, values in errors(task, mode, of_steps, chosen, JUDGED_ON, jobs).items()
+    }
+
+
+def leaking(name: str, count: int, jobs: int) -> int:
+    """Print what shuffling a perfect forecast costs; return how many methods lose nothing significant."""
+    task, leaks = TASKS[name], 0
+    chosen = tuned(task, "perfect", False, count, jobs)
+    both = chosen | {f"{method}, shuffled": Shuffled(controller=c) for method, c in chosen.items()}
+    by_label = errors(task, "perfect", False, both, JUDGED_ON, jobs)
+    for method in chosen:
+        right, wrong = (dict(enumerate(by_label[label])) for label in (method, f"{method}, shuffled"))
+        loss = compare(*({("", seed): value for seed, value in runs.items()} for runs in (wrong, right)))
+        significant = loss.p <= LEVEL and loss.mean > 0.0
+        leaks += not significant
+        ratio = median([*wrong.values()]) / median([*right.values()])
+        words = "significantly worse" if significant else "NOT significantly worse"
+        print(
+            f"{name}, {method}, forecast shuffled: {ratio:.3f} of the error, p = {loss.p:.4f}, {words}",
+            flush=True,
+        )
+    return leaks
 
 
 def limits_of(name: str, of_steps: bool) -> dict[str, float]:
@@ -225,13 +288,16 @@ def limits_of(name: str, of_steps: bool) -> dict[str, float]:
 
 
 def main() -> int:
-    """Print errors with the disturbance over the best without it; return how many are beyond their limit."""
+    """Print errors with the disturbance over the best without it; return how many are beyond their bound."""
     parser = argparse.ArgumentParser()
     parser.add_argument("tasks", nargs="*", default=[*TASKS])
     parser.add_argument("--trials", type=int, default=24)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--references", action="store_true", help="those of the benchmark, not constant ones")
+    parser.add_argument("--shuffled", action="store_true", help="what shuffling a perfect forecast costs")
     given = parser.parse_args()
+    if given.shuffled:
+        return sum(leaking(name, given.trials, given.jobs) for name in given.tasks)
     beyond = 0
     for name in given.tasks:
         by_mode = {
@@ -252,4 +318,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main() > 0)
+    from benchmarks import knowing  # by its name, under which workers find its controller
+
+    raise SystemExit(knowing.main() > 0)

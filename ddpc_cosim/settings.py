@@ -169,7 +169,8 @@ class SettingInfo:
     def allowed(self) -> str:
         """The allowed values in words."""
         if self.choices:
-            return "one of " + ", ".join(map(repr, self.choices))
+            words = (str(c).lower() if isinstance(c, bool) else repr(c) for c in self.choices)
+            return "one of " + ", ".join(words)
         limits = ((">", self.above), (">=", self.low), ("<=", self.high), ("<", self.below))
         return " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit)) or "any"
 
@@ -453,8 +454,10 @@ def _load_class(target: str) -> Any:
 
 
 def _is_possible(value: Any, kind: Any, info: SettingInfo) -> bool:
-    if info.choices:
-        return value in info.choices
+    if info.choices:  # 1 is not true
+        return value in [
+            choice for choice in info.choices if isinstance(choice, bool) == isinstance(value, bool)
+        ]
     if kind in (bool, "bool"):
         return isinstance(value, bool)
     if kind in (int, "int"):

@@ -371,7 +371,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
             sizes,
             known={"u_ini": "u_ini"}
             | ({"sum_g": "one"} if self._sums_g else {})
-            | dict.fromkeys(disturbed, D),
+            | dict.fromkeys(disturbed, self._outlook.course),
             prefer_rest=prefer_rest,
             future_slack=future_slack,
             outlook=self._outlook,

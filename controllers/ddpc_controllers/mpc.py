@@ -23,7 +23,7 @@ from ddpc_controllers.export.law import add_law
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
-from ddpc_controllers.optimisation.outlook import ENDLESS, D, Outlook
+from ddpc_controllers.optimisation.outlook import ENDLESS, D, Outlook, expected_course
 from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
@@ -105,7 +105,7 @@ class Predictor:
         self._inputs, self._unit = m, scales.y
         self._ends, self.info = predicted_ends(loop.outputs), NO_INFO
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, rates)
-        self._disturbed, self._uses_forecast = n_d > 0, settings.use_forecast
+        self._disturbed, self._uses_forecast = n_d > 0, settings.use_forecast is True
         # The disturbances are rows of the data up to the last output, which they can show in at once.
         self._outlook = Outlook(
             replace(loop, disturbances=()), settings, settings.horizon, controlled=controlled
@@ -116,6 +116,7 @@ class Predictor:
         self._parameters = ParameterVector(windows)
         self._known_size = n + m + self._parameters.sizes["r"]
         past = {name: self._parameters.sizes[name] for name in (*known, *disturbed)}
+        course = {name: expected_course(settings, loop, 0, settings.horizon + 1) for name in disturbed}
         problem = tracking_problem(
             settings,
             loop.bounds,
@@ -123,7 +124,7 @@ class Predictor:
             rates,
             past,
             self._parameters.sizes,
-            known={name: name for name in past},
+            known={**{name: name for name in known}, **course},
             prefer_rest=True,
             outlook=self._outlook,
         )

@@ -92,6 +92,9 @@ class NMPC(Foresight, Exportable):
         0.1, above=0.0, doc="filter: standard deviation of the measurements", search=Log(1e-4, 1e1)
     )
     iterations: int = setting(100, low=1, doc="most iterations of IPOPT in a sample")
+    use_forecast: bool = setting(  # it learns from no recording how disturbances go on
+        True, doc="predict with the forecasts of known disturbances; otherwise what is measured now is held"
+    )
 
     def __post_init__(self) -> None:
         check_settings_and(self, lambda: [])

@@ -471,7 +471,7 @@ class ScaledSignals(Exportable):
         if isinstance(self, Foresight):
             if seen.loop.disturbances:
                 names = ", ".join(variable.name for variable in seen.loop.disturbances)
-                facts["forecast"] = names if self.use_forecast else "measured only"
+                facts["forecast"] = names if self.use_forecast is True else "measured only"
             if seen.loop.charges and self.price_weight:
                 facts["prices"] = ", ".join(charge.name for charge in seen.loop.charges)
         return facts

@@ -320,7 +320,7 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             np.full(len(loop.inputs), np.inf),
             past,
             sizes,
-            known={name: name for name in past},  # (10)
+            known={name: self._outlook.course if name == D else name for name in past},  # (10)
             outlook=self._outlook,
         )
         if self.regulariser == "ridge":

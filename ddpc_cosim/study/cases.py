@@ -23,6 +23,7 @@ from ddpc_cosim.errors import (
     FMUStepError,
     is_of_the_machine,
 )
+from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop import safe_calls
 from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.loop.outlook import Limit, Limits, table_widths
@@ -575,7 +576,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
 def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:
     warm_up = case.warm_up_controller
     warm_up_controller = None if warm_up is None else _controller(warm_up, case.plant)
-    return cosimulate(
+    trace = cosimulate(
         plant,
         controller,
         sampling_time=case.sampling_time,
@@ -604,6 +605,20 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         warm_up_controller=warm_up_controller,
         store=store,
     )
+    return replace(trace, warnings=(*trace.warnings, *_before_time_0(case, controller)))
+
+
+def _before_time_0(case: Case, controller: Controller | None) -> Iterator[str]:
+    """Yield what a supplied FMU did before time 0, where what it reads over time may not reach."""
+    begins = {"warm-up": case.start_time - case.warm_up}
+    learns = controller is not None and safe_calls.learns_from_recording(controller)
+    if learns and case.recording_start is not None:
+        begins["experiment"] = case.recording_start
+    for what, begin in begins.items():
+        if begin < 0.0 <= case.start_time and not case.plant.name:
+            begun = f"the {what} began at t = {shown(begin)}, before 0"
+            remedy = f"set loop.start_time to {shown(case.start_time - begin)} or later"
+            yield f"{begun}, where the tables of an FMU, such as weather, commonly begin; {remedy}"
 
 
 def _not_begun(case: Case, error: CosimError) -> Trace:

@@ -4,12 +4,13 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from ddpc_controllers import MPC, SPC, WKPC, DeePC, GammaDDPC, Identified, KoopmanMPC
+from ddpc_controllers import MPC, SPC, WKPC, DeePC, GammaDDPC, Identified, KoopmanMPC, StateSpace
 from ddpc_controllers.data.dictionaries import Identity, ThinPlate
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_cosim import (
@@ -311,6 +312,88 @@ def test_a_forecast_is_used_unless_it_is_switched_off() -> None:
         assert not np.allclose(u(make_method(**settings), 0.0), u(make_method(**settings), 1.0), atol=1e-3)
         held = {**settings, "use_forecast": False}
         assert np.array_equal(u(make_method(**held), 0.0), u(make_method(**held), 1.0))
+
+
+@pytest.mark.parametrize("method", [DeePC, SPC, MPC])
+def test_a_forecast_whose_rows_are_shuffled_is_worse(method: type[Controller]) -> None:
+    """By the mean absolute error over ten seeds, in the exact one-sided test of flipped signs."""
+    case, lost, n = PLANTS["one input"], list[float](), 8
+    loop = replace(make(case, 160), **NOTHING)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        d = np.repeat(rng.uniform(-0.5, 0.5, (12, 1)), 8, axis=0)
+        errors = []
+        for shuffled in (True, False):
+            controller = method(horizon=n, input_weight=1e-3, use_forecast=True)
+            controller.start(loop)
+            state, total = np.zeros(case.output.shape[1]), 0.0
+            for k in range(80):
+                y, ahead = case.output @ state, d[k + 1 : k + 1 + n]
+                shown = rng.permutation(ahead) if shuffled else ahead
+                none = np.zeros((n, 1))
+                sample = Sample(k, k * SAMPLING_TIME, y, np.append(state, 0.0), none, none[0], d[k], shown)
+                answer = controller.step(sample)
+                u = answer.u if isinstance(answer, Action) else answer
+                state, total = case.advance(state, np.concatenate([u, d[k]])), total + float(np.abs(y).sum())
+            errors.append(total / 80)
+        lost.append(errors[0] - errors[1])
+    flipped = [np.dot(signs, lost) for signs in product((-1.0, 1.0), repeat=10)]
+    assert np.mean(np.array(flipped) >= sum(lost) - 1e-12) <= 0.01
+
+
+IDENTIFYING: dict[str, Callable[..., Controller]] = {
+    "equilibrium": partial(DeePC, **WELL_POSED, regulariser="equilibrium", lambda_g=2.0),
+    "gamma-ddpc": partial(GammaDDPC, **WELL_POSED),
+    "koopman-mpc": partial(KoopmanMPC, horizon=4),
+    "mpc": partial(MPC, horizon=4),
+    "spc": partial(SPC, **WELL_POSED, use_current_output=True),
+    "wkpc": partial(WKPC, **WELL_POSED),
+}
+
+
+@pytest.mark.parametrize("method", IDENTIFYING)
+def test_without_forecasts_disturbances_go_on_as_they_did_in_the_recording(method: str) -> None:
+    """As with a forecast d_k+i = m + r^i (d_k - m); r from pairs of rows on the same side of a seam."""
+    loop = replace(make(PLANTS["two inputs, two outputs"], 160), **NOTHING)
+    recording, rng = loop.recording, np.random.default_rng(3)
+    assert recording is not None
+    d = rng.standard_normal((160, 2)) + np.array([20.0, -1.0])
+    for row in range(1, 160):
+        d[row, 0] += 0.8 * (d[row - 1, 0] - 20.0)
+    d[70:, 0] += 4.0
+    loop = replace(loop, recording=replace(recording, d=d, seams=(70,)))
+    mean, ratios = d.mean(axis=0), []
+    for column, middle in zip(d.T, mean, strict=True):
+        pairs = [(column[t] - middle) * (column[t + 1] - middle) for t in range(159) if t != 69]
+        ratios.append(sum(pairs) / sum((value - middle) ** 2 for value in column))
+    identified = IDENTIFYING[method](use_forecast="identified")
+    given = IDENTIFYING[method]()
+    identified.start(loop)
+    given.start(loop)
+    for k in range(3):
+        y, now = 0.1 * rng.standard_normal(2), np.array([25.0, 0.5]) + rng.standard_normal(2)
+        forecast = np.array([mean + np.array(ratios) ** i * (now - mean) for i in range(1, 5)])
+        sample = Sample(k, k * SAMPLING_TIME, y, np.append(y, [0.0] * 2), np.zeros((4, 2)), np.zeros(2), now)
+        answers = [
+            controller.step(sample._replace(forecast=ahead))
+            for controller, ahead in ((given, forecast), (identified, rng.standard_normal((4, 2))))
+        ]
+        expected, actual = (np.asarray(getattr(answer, "u", answer)) for answer in answers)
+        assert actual == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_how_disturbances_go_on_is_identified_from_a_recording_of_them(recorded: bool) -> None:
+    loop = make(PLANTS["one input"], 160)
+    recording = loop.recording
+    assert recording is not None
+    model = StateSpace(a=[[0.9]], b=[[1.0, 1.0]], c=[[1.0]], sampling_time=SAMPLING_TIME)
+    controller = MPC(model=model, use_forecast="identified", horizon=4)
+    without = replace(recording, d=np.empty((len(recording), 0)))
+    with pytest.raises(
+        ConfigError, match='use_forecast = "identified" needs a recording of the disturbances'
+    ):
+        controller.start(replace(loop, **NOTHING, recording=without if recorded else None))
 
 
 @pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC, WKPC])

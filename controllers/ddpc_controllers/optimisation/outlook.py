@@ -5,11 +5,20 @@ are parameters p of the problem that is condensed once: right-hand sides and lin
 factorised anew. Row i of the horizon belongs to the input u_i, held over [t_k+i, t_k+i+1): it meets the
 disturbance, the limits and the price of that interval. Predicted outputs meet band, limits and price of their
 own time, t_k+i or t_k+i+1, whichever the method's first one is.
+
+Where there is no forecast worth the name, a recording says how a disturbance goes on from what is measured of
+it: as the best predictor of an autoregressive process of first order does (G. E. P. Box, G. M. Jenkins,
+G. C. Reinsel, G. M. Ljung, Time Series Analysis, 5th ed., 2015, chapter 5),
+
+    d_k+i = m + r^i (d_k - m),   r = sum_t (d_t - m)(d_t+1 - m) / sum_t (d_t - m)^2,
+
+m and r being the mean and the autocorrelation over one sample of the recording. White noise goes back to its
+mean at once, what hardly changes stays.
 """
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +26,7 @@ from numpy.typing import NDArray
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, sample_by_sample
-from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
+from ddpc_cosim import Bounds, ConfigError, FloatArray, Loop, Sample, setting
 
 D, BAND, INPUT_LIMITS, OUTPUT_LIMITS, PRICE = "d", "band", "u_limits", "y_limits", "price"
 
@@ -29,8 +38,11 @@ ENDLESS = 1e9
 class Foresight:
     """What a predictive method does with forecasts and prices."""
 
-    use_forecast: bool = setting(
-        True, doc="predict with the forecasts of known disturbances; otherwise what is measured now is held"
+    use_forecast: bool | Literal["identified"] = setting(
+        True,
+        choices=(True, False, "identified"),
+        doc="predict with the forecasts of known disturbances; otherwise what is measured now is held, or, "
+        "identified, goes on as it did in the recording",
     )
     price_weight: float = setting(
         1.0, low=0.0, doc="cost of a unit of money paid over the horizon, beside the squared errors"
@@ -56,6 +68,48 @@ class Paid(NamedTuple):
     signal: str
     number: int
     amount: float
+
+
+def expected_course(settings: Foresight, loop: Loop, past: int, ahead: int) -> Blocks:
+    """Return what disturbances a method predicts with, of its parameter ``"d"`` and the 1.
+
+    Parameters
+    ----------
+    settings : Foresight
+        What the method does with forecasts.
+    loop : Loop
+        The loop of the method's signals.
+    past, ahead : int
+        How many samples of the parameter are before this one, and how many are of this one and later.
+
+    Returns
+    -------
+    blocks : dict of str to array, shapes (samples n_d, samples n_d) and (samples n_d, 1)
+        The parameter as it is; or, where it is identified and the rows of later samples have what is measured
+        now, what is expected of these.
+
+    Raises
+    ------
+    ConfigError
+        There is no recording of the disturbances to identify it from.
+    """
+    n_d = len(loop.disturbances)
+    if settings.use_forecast != "identified":
+        return {D: np.eye((past + ahead) * n_d)}
+    recording = loop.recording
+    if recording is None or recording.d.shape[1] != n_d:
+        raise ConfigError(
+            'use_forecast = "identified" needs a recording of the disturbances; false holds what is measured'
+        )
+    off = recording.d - recording.d.mean(axis=0)
+    follows = np.delete(np.arange(1, len(off)), np.array(recording.seams, dtype=np.intp) - 1)
+    square = (off**2).sum(axis=0)
+    moved = square > 0.0
+    ratio = np.ones(len(square))  # what never moved stays
+    ratio[moved] = (off[follows] * off[follows - 1]).sum(axis=0)[moved] / square[moved]
+    lasting = np.vstack([np.ones((past, len(ratio))), ratio ** np.arange(ahead)[:, np.newaxis]])
+    constant = (1.0 - lasting) * recording.d.mean(axis=0)
+    return {D: np.diag(lasting.ravel()), "one": constant.reshape(-1, 1)}
 
 
 class _Sides:
@@ -125,6 +179,8 @@ class Outlook:
         What is paid for.
     moves_inputs : bool
         Whether limits of inputs move.
+    course : dict of str to array
+        What it predicts with of the disturbances: see :func:`expected_course`; empty where there are none.
     """
 
     def __init__(
@@ -159,7 +215,8 @@ class Outlook:
         self.moves_inputs = INPUT_LIMITS in self.windows
         self._holds_bands = BAND in self.windows
         self._passing = past > 0 and D in self.windows
-        self._arrange(loop, settings.use_forecast, units)
+        self.course = expected_course(settings, loop, past, horizon) if D in self.windows else {}
+        self._arrange(loop, settings.use_forecast is True, units)
 
     def at_rest(self) -> dict[str, Blocks]:
         """Return the rows of disturbances that stay what they are at the end of the horizon."""
@@ -168,7 +225,8 @@ class Outlook:
         length, width = self.windows[D]
         at_end = np.zeros((length, length))
         at_end[:, -1] = 1.0
-        return {D: {D: sample_by_sample(at_end, np.eye(width))}}
+        last = sample_by_sample(at_end, np.eye(width))
+        return {D: {name: last @ block for name, block in self.course.items()}}
 
     def begin(self, parameters: ParameterVector, past: FloatArray) -> None:
         """Fill the disturbances before this sample, shape (past, n_d), or (n_d,) as if always so."""

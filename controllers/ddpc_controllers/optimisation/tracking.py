@@ -84,7 +84,7 @@ def tracking_problem(
     past: Mapping[str, int],
     parameters: Mapping[str, int],
     *,
-    known: Mapping[str, str],
+    known: Mapping[str, str | Blocks],
     prefer_rest: bool = False,
     future_slack: float = 0.0,
     outlook: Outlook | None = None,
@@ -123,8 +123,9 @@ def tracking_problem(
         Sizes of the data rows above those of u and y. The last input before the horizon ends ``u_ini``.
     parameters : mapping of str to int
         Sizes of the parameters, the reference ``r`` among them.
-    known : mapping of str to str
-        Which of the rows in ``past`` equal which parameter; the others are the caller's.
+    known : mapping of str to str or Blocks
+        Which of the rows in ``past`` equal which parameter, or blocks of parameters; the others are the
+        caller's.
     prefer_rest : bool
         Where inputs outnumber outputs, choose among setpoints u_s alike in cost the one nearest to rest.
     future_slack : float
@@ -157,8 +158,9 @@ def tracking_problem(
     if future_slack:
         free[future_y] = n * p
     problem = Problem({**past, "u": n * m, "y": n * p}, free, parameters)
-    for row, parameter in known.items():
-        problem.equate({row: np.eye(past[row])}, {parameter: np.eye(past[row])})
+    for row, value in known.items():
+        rows = np.eye(past[row])
+        problem.equate({row: rows}, {value: rows} if isinstance(value, str) else value)
 
     every_u, every_y = np.eye(n * m), np.eye(n * p)
     held_u, held_y = np.tile(np.eye(m), (n, 1)), np.tile(np.eye(p), (n, 1))

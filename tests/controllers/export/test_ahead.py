@@ -66,9 +66,11 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "DeePC, plans": lambda: DeePC(apply_steps=3, rate_bounds=0.3, use_current_output=True),
     "SPC": lambda: SPC(horizon=6),
     "SPC, measured only": lambda: SPC(horizon=5, use_forecast=False),
+    "SPC, identified": lambda: SPC(horizon=5, use_forecast="identified"),
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=6, scaling="range"),
     "MPC": lambda: MPC(horizon=6),
     "MPC, cheap inputs": lambda: MPC(horizon=16, input_weight=1e-3),
+    "MPC, identified": lambda: MPC(horizon=6, use_forecast="identified"),
     "MPC, outputs": lambda: MPC(
         horizon=5, setpoint="none", soft_output_bounds=1e3, rate_bounds=0.4, scaling="range"
     ),

@@ -314,6 +314,32 @@ def test_what_a_plant_applies_is_only_known_where_it_is_measured() -> None:
     assert controller.past is None
 
 
+@pytest.mark.parametrize(("start", "early"), [(0.0, True), (12000.0, False)])
+def test_a_supplied_fmu_that_begins_before_time_0_is_told(
+    tmp_path: Path, room: Path, start: float, early: bool
+) -> None:
+    """What is inside it, such as weather, may not reach back so far; equations of one's own know no time."""
+    plant = {"fmu": str(room), "inputs": ["oveHeat_u"], "outputs": ["reaTZon_y"]}
+    options: dict[str, Any] = {
+        "loop": {"sampling_time": H, "duration": SAMPLES * H, "warm_up": 3 * H, "start_time": start},
+        "disturbances": {"TDryBul": {"signal": {"kind": "random", "low": 270.0, "high": 280.0, "hold": H}}},
+        "recording": {"samples": 20, "excitation": {"oveHeat_u": {"low": 0.0, "high": 1000.0}}},
+        "controllers": {
+            "own": "plant",
+            "spc": {"type": "spc", "settings": {"horizon": 2, "initial_length": 1}},
+        },
+    }
+    for changes, by_itself in (({"plant": plant}, early), ({}, False)):
+        own, spc = (run_case(case) for case in cases_in(write(tmp_path, room_study(**options, **changes))))
+        of_times = [
+            [text.partition(",")[0] for text in trace.warnings if "before 0" in text] for trace in (own, spc)
+        ]
+        warm, recorded = "the warm-up began at t = -30 min", "the experiment began at t = -3 h 20 min"
+        assert of_times == ([[warm], [warm, recorded]] if by_itself else [[], []])
+        if by_itself:
+            assert spc.warnings[-1].endswith("set loop.start_time to 3 h 20 min or later")
+
+
 def test_what_an_input_costs_is_not_known_of_the_plants_own_control(room: Path) -> None:
     prices = {
         "asked": Price(signal="oveHeat_u", price=0.25, unit="EUR/kWh"),
