@@ -404,19 +404,15 @@ def plane_chart(rows: list[dict[str, Any]], titles: Sequence[str], width: int) -
     width : int
         Of the static drawing [px].
     """
-    x, y = (
-        field(side, title)
-        | {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
-        for side, title in zip("xy", titles, strict=True)
-    )
+    scaled = {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+    x, y = (field(side, title) | scaled for side, title in zip("xy", titles, strict=True))
     names = list(dict.fromkeys(row["key"] for row in rows))
     place = {"x": x, "y": y, "color": colours_of(names)}
+    begins = {"filter": "datum.i == 0"}
     along = {"strokeDash": dashes_of(names), "order": {"field": "i", "type": "quantitative"}}
     layers = [
         layer({"type": "line", "strokeWidth": 1.3}, place | along, None, _NOT_HIDDEN),
-        layer(
-            {"type": "circle", "size": 40, "opacity": 1}, place, None, _NOT_HIDDEN, {"filter": "datum.i == 0"}
-        ),
+        layer({"type": "circle", "size": 40, "opacity": 1}, place, None, _NOT_HIDDEN, begins),
     ]
     return _chart_of_rows(rows, layers, 240, width=width)
 

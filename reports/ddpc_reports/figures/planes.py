@@ -15,7 +15,7 @@ from ddpc_reports.figures.samples import column_name, first_runs, level_title, t
 from ddpc_reports.figures.time_charts import NARROW
 from ddpc_reports.numbers import significant, unit_symbol, with_unit
 
-_MOST_POINTS = 150
+_MOST_POINTS = 200
 """Of a controller's line: more are not told apart."""
 
 
@@ -40,7 +40,7 @@ class _Axis(NamedTuple):
 
 
 def plane_figure(condition: Condition, prefix: str) -> Figure | None:
-    """Return the first two outputs over each other, or one and its rate; the first input over the first output.
+    """Return the first two outputs over each other, or one and its rate, and the input over the first.
 
     Rates are differences of samples: (y_k+1 - y_k-1) / (2 h).
     """
@@ -62,16 +62,12 @@ def plane_figure(condition: Condition, prefix: str) -> Figure | None:
         spec = plane_chart(rows, (x.title, y.title), NARROW)
         description = f"{y.title} over {x.title}: {'; '.join(clipped(member.label) for member in members)}"
         views.append(View(name, "", description, spec, drawing(spec, name, description)))
-    left = [
-        controller for controller in condition.controllers if column_name(controller) in drawn.keys() - shown
-    ]
-    beyond = (
-        f" Far away, and left out: {', '.join(clipped(member.label) for member in left)}." if left else ""
-    )
-    rate = " A rate is that between the samples before and after." if len(longest.outputs) < 2 else ""
+    away = drawn.keys() - shown
+    left = ", ".join(clipped(c.label) for c in condition.controllers if column_name(c) in away)
     caption = (
-        f"Phase plane, and input against output, at seed {condition.seeds[0]}, the beginning of a run as a dot."
-        f"{rate}{beyond}"
+        f"Phase plane, and input against output, at seed {condition.seeds[0]}; a dot is where a run begins."
+        + (" A rate is that between the samples before and after." if len(longest.outputs) < 2 else "")
+        + (f" Far away, and left out: {left}." if left else "")
     )
     legend = tuple(entry(member) for member in members)
     return Figure(f"{prefix}planes", "Phase plane", caption, tuple(views), legend, folded=True)
@@ -83,26 +79,27 @@ def _pairs(trace: Trace) -> Iterator[tuple[_Axis, _Axis]]:
         yield first, _level(trace.outputs[1], output=1)
     else:
         unit = f"{first.unit or '1'}/s"
-        yield (
-            first,
-            _Axis(f"rate of {first.title.partition(' / ')[0]} / {unit}", unit, output=0, is_rate=True),
-        )
+        title = f"rate of {first.title.partition(' / ')[0]} / {unit}"
+        yield first, _Axis(title, unit, output=0, is_rate=True)
     yield first, _level(trace.inputs[0], input=0)
 
 
-def _level(variable: Variable, **which: int) -> _Axis:
+def _level(variable: Variable, *, output: int = -1, input: int = -1) -> _Axis:
     unit = unit_symbol(variable.shown_in.name)
-    return _Axis(level_title(variable, unit), unit, **which)
+    return _Axis(level_title(variable, unit), unit, output, input)
 
 
 def _rows(trace: Trace, key: str, label: str, x: _Axis, y: _Axis) -> Iterator[dict[str, Any]]:
-    """Yield the points of a run, thinned out evenly."""
-    kept = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), _MOST_POINTS)).round().astype(np.intp))
-    values = np.stack([x.values(trace)[kept], y.values(trace)[kept]], axis=1)
-    for i, (a, b) in enumerate(values.tolist()):
-        if np.isfinite([a, b]).all():
-            row = {"key": key, "i": i, "x": float(f"{a:.5g}"), "y": float(f"{b:.5g}")}
-            if not i:
-                start = f"{with_unit(significant(a, 3), x.unit)}, {with_unit(significant(b, 3), y.unit)}"
-                row |= {"label": clipped(label), "text": f"{clipped(label)}, from {start}"}
-            yield row
+    """Yield the points of a run, of many those that are even along its line: at rest they are one."""
+    values = np.stack([x.values(trace), y.values(trace)], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    extent = np.ptp(values, axis=0) if len(values) else np.ones(2)
+    moves = np.diff(values / np.where(extent > 0, extent, 1.0), axis=0)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*moves.T))])
+    kept = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _MOST_POINTS)).clip(max=len(values) - 1))
+    for i, (a, b) in enumerate(values[kept].tolist()):
+        row = {"key": key, "i": i, "x": float(f"{a:.5g}"), "y": float(f"{b:.5g}")}
+        if not i:
+            start = f"{with_unit(significant(a, 3), x.unit)}, {with_unit(significant(b, 3), y.unit)}"
+            row |= {"label": clipped(label), "text": f"{clipped(label)}, from {start}"}
+        yield row
