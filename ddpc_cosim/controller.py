@@ -407,10 +407,17 @@ class ControllerCode:
         ``state->iterations`` and ``state->active_bounds`` are what the optimisation needed and met.
     statuses : mapping of int to str
         What each of these powers of two says.
+    follows : bool
+        Whether ``controller.h`` declares ``controller_follow`` too, with the arguments of
+        ``controller_step`` and called in its place while something else drives the plant: ``u`` is what that
+        applies at this sample, and comes back finite and within the bounds. The step after it goes on as a
+        controller does that was started with these samples as :attr:`Loop.past`. The first call after a
+        step, or after the start, begins a new past.
     """
 
     sources: Mapping[str, str]
     statuses: Mapping[int, str]
+    follows: bool = False
 
 
 def further_arguments(loop: Loop, horizon: int) -> dict[str, tuple[int, ...]]:

@@ -120,7 +120,7 @@ class Decentralised(Wrapper):
                 of_measurements=code.sizes(share.measurements),
                 of_inputs=code.sizes(share.inputs),
             )
-            seen, inputs = code.memory(np.zeros(2 * p + q + horizon * p)), code.memory(np.zeros(m))
+            seen, inputs = code.memory(np.zeros(2 * p + q + horizon * p + m)), code.memory(np.zeros(m))
             body += (
                 f"const Sample of_{group} = sample_of_group(&{group}, sample, {seen});\n"
                 f"{step}(memory, &of_{group}, {inputs}, told);\n"

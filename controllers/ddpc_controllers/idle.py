@@ -15,6 +15,7 @@ class Idle(Exportable):
     """Inputs at rest, independent of measurements and references."""
 
     _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+    _follows_in_c: ClassVar[bool] = True
 
     accepts_missing: ClassVar[bool] = True
 

@@ -122,6 +122,8 @@ class IPID(Exportable):
     model expects, which is a status.
     """
 
+    _follows_in_c: ClassVar[bool] = True
+
     accepts_missing: ClassVar[bool] = True
 
     order: int = setting(1, choices=(1, 2), doc="nu, order of the ultra-local model")
@@ -192,9 +194,10 @@ class IPID(Exportable):
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the law, with the window as it is."""
-        if self._moving or self._taken_over:
-            what = "has input limits that move" if self._moving else "takes over a running plant"
-            raise ConfigError(f"IPID cannot be exported where it {what}: its code in C does not")
+        if self._moving:
+            raise ConfigError(
+                "IPID cannot be exported where it has input limits that move: its code in C does not"
+            )
         code.kernel("ipid")
         p = len(self._u)
         ipid = code.constant(
@@ -212,9 +215,8 @@ class IPID(Exportable):
             high=code.doubles(self._bounds.u_max),
         )
         of_a_step = np.zeros((self.order + 1, p)), np.zeros(p), np.zeros(p)
-        held = code.held(
-            "IPIDMemory", self._started, *self._model.window(), self._u, self._integral, *of_a_step
-        )
+        begun = -1.0 if self._taken_over else float(self._started)
+        held = code.held("IPIDMemory", begun, *self._model.window(), self._u, self._integral, *of_a_step)
         return code.step(f"{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:

@@ -253,7 +253,11 @@ class MPC(TrackingSettings, ModelBased):
         memory = code.memory(np.zeros(size))
         look = self._predictor.look(code, memory)
         known = f"held.state, held.u, sample->reference, {memory}"
-        return f"{look}solve_predictor(&{predictor}, {known}, u, told);"
+        size_of_u = f"{len(self._u)} * sizeof(double)"
+        return (
+            f"{look}if (sample->applied != NULL) memcpy(u, sample->applied, {size_of_u});\n"
+            f"else solve_predictor(&{predictor}, {known}, u, told);"
+        )
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""

@@ -172,7 +172,7 @@ class OffsetFree(SingleWrapper):
         return code.step(
             f"{held}const Sample inside = shift_references(&{wrapper}, &held, sample);\n"
             f"{step}(memory, &inside, u, told);\n"
-            f"remember_free(&{wrapper}, &held, u);"
+            f"if (sample->applied == NULL) remember_free(&{wrapper}, &held, u);"
         )
 
     def _all_directions(self, m: int, p: int) -> FloatArray:

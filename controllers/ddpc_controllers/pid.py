@@ -334,6 +334,7 @@ class PID(Exportable):
     """
 
     _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
+    _follows_in_c: ClassVar[bool] = True
 
     tuning: Tuning = setting(
         "manual", choices=("manual", "step-test"), doc="gains as given, or by SIMC from the recording"
@@ -419,7 +420,8 @@ class PID(Exportable):
         proportional = gains.proportional * (self.setpoint_share * r - y)
         if self._taken_over:  # the last inputs were its own, for the reference of this sample
             self._integral = self._u[self._pairs] - self._derivative - self._added
-            self._integral -= gains.proportional * (self.setpoint_share * sample.setpoint - before)
+            setpoint = np.where(np.isfinite(sample.setpoint), sample.setpoint, r)
+            self._integral -= gains.proportional * (self.setpoint_share * setpoint - before)
             self._taken_over = False
         self._differentiate(y - before)
         if self._integral is None:  # as if the loop had held the output where it is
@@ -449,10 +451,6 @@ class PID(Exportable):
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the loops with the gains in use, given or tuned."""
         code.kernel("pid")
-        if self._taken_over:
-            raise ConfigError(
-                "PID cannot be exported where it takes over a running plant: its code in C does not"
-            )
         p = len(self._pairs)
         forwarded = self._forward.gains.shape[1:] if self._forward else (0, 0)
         pid = code.constant(
@@ -468,8 +466,9 @@ class PID(Exportable):
             clamping=self.anti_windup == "clamping",
         )
         before = np.zeros(p) if self._y is None else self._y
-        begun = [0.0, self._y is not None]
-        further = np.zeros(2 * p * self._moving + (2 + forwarded[0]) * forwarded[1])
+        begun = [-1.0 if self._taken_over else 0.0, self._y is not None]
+        fed_forward = self._forward.memory if self._forward else ()
+        further = [*np.zeros(2 * p * self._moving + forwarded[1]), *fed_forward]
         starts = begun, self._elapsed, self._u, before, np.zeros(p), [*self._derivative, *further]
         *others, rate = [code.memory(start) for start in starts]
         look = ""

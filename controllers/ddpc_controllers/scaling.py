@@ -127,7 +127,7 @@ class Scales:
             u=code.doubles(self.u),
             **{name: code.doubles(values) for name, values in limits.items()},
         )
-        memory = code.memory(np.zeros(2 * p + q + horizon * p))
+        memory = code.memory(np.zeros(2 * p + q + horizon * p + m))
         return code.step(
             f"{keep}const Sample inside = scale_sample(&{scaled}, sample, {memory});\n"
             f"{inside}(memory, &inside, u, told);\n"
@@ -417,6 +417,8 @@ class ScaledSignals(Exportable):
         choices=SCALES,
         doc="what weighs 1: the signal's nominal value, half its range (else the nominal value), or its unit",
     )
+    _follows_in_c: ClassVar[bool] = True
+
     _judgement = Judgement()
     _scales_ahead: ClassVar[ScaleAhead] = "there"
 

@@ -4,6 +4,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.export.code import Exportable
@@ -104,6 +105,8 @@ def controller_faults(who: str, **given: object) -> list[str]:
 
 class Wrapper(Exportable):
     """Base of the controllers that hold others: what one of these needs, they need."""
+
+    _follows_in_c: ClassVar[bool] = True
 
     _running: Sequence[Inner]
     """The copies that run, set by ``start``."""

@@ -48,6 +48,8 @@ def export_controller(
     ``status`` (0, or a sum of the numbers that
     ``resources/controller.json`` explains), ``iterations`` and ``active_bounds``. Of two signals of one name,
     the later one has its kind before it: ``measurement.``, ``reference.``, ``input.`` or ``controller.``.
+    Where ``active`` is 0 it follows the plant that the inputs ``applied.NAME`` drive, as if it had been
+    started with what it saw as :attr:`Loop.past` when it becomes active again.
     ``sources/`` has the C code, ``controller.h`` included, for other uses than an FMU's.
 
     Parameters
@@ -154,7 +156,7 @@ def block_of(
         for key in ("study", "problem", "scenario", "seed")
         if facts.get(key) not in (None, "")
     )
-    return SampledBlock(
+    block = SampledBlock(
         identifier(name),
         f"{kind.__name__}{where}{learned}: sampled every {loop.sampling_time:g} s",
         loop.sampling_time,
@@ -162,8 +164,10 @@ def block_of(
         references,
         controls,
         code.sources,
-        {_RESOURCE: sealed_json(resource).decode(), **(resources or {})},
+        follows=code.follows,
     )
+    resource["hand_over"] = block.hand_over()
+    return replace(block, resources={_RESOURCE: sealed_json(resource).decode(), **(resources or {})})
 
 
 def further_signals(loop: Loop, horizon: int) -> list[Variable]:

@@ -1,15 +1,19 @@
 """A sampled block: a controller in C, and the signals that its FMU has.
 
 Its C code declares in `controller.h` its state, `ControllerState`, and the functions `controller_start` and
-`controller_step`; `runtime/sampled_block.c` calls them at the sampling instants.
+`controller_step`, and `controller_follow` where it follows a plant that somebody else drives;
+`runtime/sampled_block.c` calls them at the sampling instants.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 
 from fmu_plants.export.description import Contents, Kind, Scalar, c_number, c_text, variable_table
 from fmu_plants.model import TIME, Variable
 
+ACTIVE = "active"
+APPLIED = "applied"
 STATUS = "status"
 ITERATIONS = "iterations"
 ACTIVE_BOUNDS = "active_bounds"
@@ -18,6 +22,7 @@ _NUMBERS = (
     Variable(ITERATIONS, "1", description="Iterations of the optimisation in this sample"),
     Variable(ACTIVE_BOUNDS, "1", description="Bounds that the optimum lies at"),
 )
+_ACTIVE = Variable(ACTIVE, "1", start=1.0, description="0: it follows what drives the plant in its place")
 _SHOWN_SAMPLES = 100  # of the default experiment: some importers lengthen the steps where there are many
 
 
@@ -43,6 +48,9 @@ class SampledBlock:
         ``controller.h`` and C files by name.
     resources : mapping of str to str
         Files that go along, by name.
+    follows : bool
+        Whether it can follow the plant: then it has further inputs, `active` and for each control
+        ``applied.NAME``, what drives the plant where `active` is 0.
     """
 
     name: str
@@ -53,6 +61,7 @@ class SampledBlock:
     controls: Sequence[Variable]
     sources: Mapping[str, str]
     resources: Mapping[str, str] = field(default_factory=dict)
+    follows: bool = False
 
     def layout(self) -> tuple[Scalar, ...]:
         """Return all variables of the FMU, in the order of their value references."""
@@ -60,10 +69,33 @@ class SampledBlock:
             ("", Kind.TIME, (Variable(TIME, "s", description="Simulated time"),)),
             ("measurement", Kind.SAMPLE, self.measurements),
             ("reference", Kind.SAMPLE, self.references),
+            ("controller", Kind.SAMPLE, self._hand_over_inputs()),
             ("input", Kind.HELD, self.controls),
             ("controller", Kind.HELD, _NUMBERS),
         )
         return tuple(_named_apart(groups))
+
+    def hand_over(self) -> list[str]:
+        """Return the names of the inputs by which it follows the plant: `active` and what is applied."""
+        first = 1 + len(self.measurements) + len(self.references)
+        inputs = self.layout()[first : first + len(self._hand_over_inputs())]
+        return [scalar.variable.name for scalar in inputs]
+
+    def _hand_over_inputs(self) -> Sequence[Variable]:
+        """Return the inputs by which another controller hands the plant over."""
+        if not self.follows:
+            return ()
+        applied = [
+            replace(
+                control,
+                name=f"{APPLIED}.{control.name}",
+                description=f"What is applied as {control.name} where it is not active",
+                min=-inf,
+                max=inf,
+            )
+            for control in self.controls
+        ]
+        return _ACTIVE, *applied
 
     def contents(self) -> Contents:
         """Return what the FMU is: every output depends on every input, without delay."""
@@ -97,7 +129,7 @@ const Model model = {{
     .identifier = {c_text(self.name)},
     .guid = "",
     .n_variables = {len(layout)},
-    .n_inputs = {len(self.measurements) + len(self.references)},
+    .n_inputs = {len(self.measurements) + len(self.references) + len(self._hand_over_inputs())},
     .n_outputs = {len(self.controls) + len(_NUMBERS)},
     .variables = variables,
 }};
@@ -107,6 +139,7 @@ const SampledBlock block = {{
     .n_measurements = {len(self.measurements)},
     .n_references = {len(self.references)},
     .n_controls = {len(self.controls)},
+    .follow = {"controller_follow" if self.follows else "NULL"},
 }};
 """
 

@@ -88,14 +88,25 @@ void simulation_set_value(Simulation *simulation, size_t reference, double value
     if (simulation->phase == AT_INSTANT || (simulation->phase == ANSWERED && !same)) simulation->phase = ASKED;
 }
 
+static size_t first_output(void)
+{
+    return 1 + block.n_measurements + block.n_references + (block.follow ? 1 + block.n_controls : 0);
+}
+
 /* Compute outputs for the inputs as they are, and the state after that. */
 static void answer(Simulation *simulation)
 {
     ControllerState *next = &simulation->states[1 - simulation->current];
     const double *y = simulation->values + 1, *r = y + block.n_measurements;
-    double *u = simulation->values + 1 + block.n_measurements + block.n_references, *numbers = u + block.n_controls;
+    const double *active = r + block.n_references;
+    double *u = simulation->values + first_output(), *numbers = u + block.n_controls;
     *next = simulation->states[simulation->current];
-    controller_step(next, y, r, u);
+    if (block.follow && *active == 0.0) {
+        memcpy(u, active + 1, block.n_controls * sizeof(double));
+        block.follow(next, y, r, u);
+    } else {
+        controller_step(next, y, r, u);
+    }
     numbers[0] = next->status;
     numbers[1] = next->iterations;
     numbers[2] = next->active_bounds;
@@ -144,7 +155,7 @@ void simulation_restore(Simulation *simulation, const double state[])
 /* The first output that is not finite; NULL if there is none. */
 static const Variable *fault_of_answer(const Simulation *simulation)
 {
-    for (size_t i = 1 + block.n_measurements + block.n_references; i < model.n_variables; ++i) {
+    for (size_t i = first_output(); i < model.n_variables; ++i) {
         if (!isfinite(simulation->values[i])) return &model.variables[i];
     }
     return NULL;

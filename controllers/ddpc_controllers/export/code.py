@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import replace
 from importlib.resources import files as package_files
 from itertools import pairwise
 from math import inf, prod
@@ -22,6 +24,7 @@ STATUSES: Mapping[int, str] = {
     16: "no combination of the recorded windows has this past: the nearest is used",
     32: "the optimisation reached the bound on its iterations",
     64: "what was learned online was not plausible and is not used",
+    128: "a missing measurement while it follows: the last one stands in for it",
 }
 """The bits of a status, as ``runtime/sample.h`` has them."""
 
@@ -42,6 +45,8 @@ class Exportable(Controller):
 
     _known_in_c: ClassVar[Collection[str]] = ("disturbances", "bands", "prices")
     """What a loop may have: a class that makes nothing of these need not know them; nor, here, of limits."""
+    _follows_in_c: ClassVar[bool] = False
+    """Whether its step function follows the plant where ``sample->applied`` has inputs of somebody else."""
 
     def c_code(self, loop: Loop) -> ControllerCode:
         """Return the started controller as C code.
@@ -51,9 +56,13 @@ class Exportable(Controller):
         ConfigError
             With these settings it cannot be exported, and why.
         """
-        code = Code()
-        code.look_ahead(loop, self.horizon)
-        return code.controller(inner_step(self, code, loop), self.horizon, loop)
+        code, step = _parts_of(self, loop)
+        rest = None
+        if loop.past or loop.continues_recording:  # who is switched off and on again begins without this past
+            fresh, at_rest = deepcopy(self), replace(loop, past=None, continues_recording=False)
+            fresh.start(replace(at_rest, rng=deepcopy(loop.rng)))
+            rest = _parts_of(fresh, at_rest)[0].start
+        return code.controller(step, self.horizon, loop, rest)
 
     def c_step(self, code: "Code", loop: Loop) -> str:
         """Add the started controller to the code; return the name of its step function.
@@ -64,6 +73,13 @@ class Exportable(Controller):
             With these settings it cannot be exported, and why.
         """
         raise ConfigError(f"{type(self).__name__} cannot be exported: the method has no code in C")
+
+
+def _parts_of(controller: Exportable, loop: Loop) -> tuple["Code", str]:
+    """Return the parts of the code of a started controller, and the name of its step function."""
+    code = Code()
+    code.look_ahead(loop, controller.horizon)
+    return code, inner_step(controller, code, loop)
 
 
 def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
@@ -79,9 +95,12 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
         raise ConfigError(
             f"{kind.__name__} cannot be exported within another controller: it is not of ddpc_controllers"
         )
-    if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
+    of_the_house = kind.__module__.startswith(f"{_PACKAGE}.")
+    if not (of_the_house or "c_step" in vars(kind)):
         # The base class's code does not know what a subclass changes.
         raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
+    if not (controller._follows_in_c and (of_the_house or "_follows_in_c" in vars(kind))):
+        code.follows = False
     there = {
         "disturbances": loop.disturbances,
         "bands": loop.bands,
@@ -167,12 +186,15 @@ class Code:
     ahead : Ahead or None
         What is known of disturbances, bands, prices and moving limits, as the method that is being added
         sees it; None: there is nothing of the kind.
+    follows : bool
+        Whether all step functions follow the plant where somebody else applies the inputs.
     """
 
     def __init__(self) -> None:
         self.parts: list[str] = []
         self.start: list[float] = []
         self.ahead: Ahead | None = None
+        self.follows = True
         self._kernels: list[str] = []
         self._tables: dict[tuple[str, str], str] = {}
         self._count = 0
@@ -302,7 +324,9 @@ class Code:
         self.parts.append(f"{head}\n{{\n{text}\n}}")
         return name
 
-    def controller(self, step: str, horizon: int, loop: Loop) -> ControllerCode:
+    def controller(
+        self, step: str, horizon: int, loop: Loop, rest: Sequence[float] | None = None
+    ) -> ControllerCode:
         """Return the whole code, given the step function of the outermost controller.
 
         Parameters
@@ -313,12 +337,19 @@ class Code:
             How many future references it takes; those beyond the loop's preview repeat the last one.
         loop : Loop
             The loop it was started with.
+        rest : sequence of float, optional
+            What the memory has so far where the controller was started at rest; default: it was.
         """
+        own = len(self.start)
         p, q, m = len(loop.outputs), len(loop.measurements), len(loop.inputs)
         outputs = [variable.name for variable in loop.outputs]
         others = [v.name for v in loop.measurements if v.name not in outputs]
         places = self.sizes([[*outputs, *others].index(v.name) for v in loop.measurements])
         preview = min(loop.preview, horizon)
+        seen, applied, follows = "", "", ""
+        if self.follows:
+            seen = self.memory(np.full(p + len(others), np.nan))
+            applied, follows = self.memory(resting_input(loop)), self.memory(0.0)
         measured = self.memory(np.zeros(q))
         reference = self.memory(np.zeros(horizon * p))
         last = self.memory(resting_input(loop))
@@ -331,7 +362,9 @@ class Code:
             looks.append(self.ahead.limits(self, 1, low).rstrip())
         else:
             low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
-        start = self.doubles(self.start)
+        start = resting = self.doubles(self.start)
+        if self.follows and rest is not None:
+            resting = self.doubles([*rest, *self.start[own:]])
         further = further_arguments(loop, horizon)
         sizes = {
             "MEASUREMENTS": p + len(others),
@@ -339,29 +372,48 @@ class Code:
             "INPUTS": m,
             "MEMORY": len(self.start),
         }
-        body = [
-            "Told told = {0, 0, 0};",
-            "double *const memory = state->memory;",
-            f"const Sample sample = {{y, {measured}, {reference}, r}};",
-            f"choose(y, {places}, {q}, {measured});",
-            f"repeat_last(r, {preview}, {horizon}, {p}, {reference});",
-            *looks,
-            f"{step}(memory, &sample, u, &told);",
+
+        def body(y: str, inputs: str) -> list[str]:
+            return [
+                f"const Sample sample = {{{y}, {measured}, {reference}, r, {inputs}}};",
+                f"choose({y}, {places}, {q}, {measured});",
+                f"repeat_last(r, {preview}, {horizon}, {p}, {reference});",
+                *looks,
+                f"{step}(memory, &sample, u, &told);",
+            ]
+
+        begin = ["Told told = {0, 0, 0};", "double *const memory = state->memory;"]
+        end = [
             f"hold_bounds(u, {low}, {high}, {m}, {last}, &told);",
             "state->status = told.status;",
             "state->iterations = told.iterations;",
             "state->active_bounds = told.active_bounds;",
             "return told.status;",
         ]
+        functions = {_STEP: [*begin, *body("y", "NULL"), *end]}
+        if self.follows:
+            functions[_STEP].insert(2, f"{follows}[0] = 0.0;")
+            functions[_FOLLOW] = [
+                *begin,
+                f"if ({follows}[0] == 0.0) memcpy(memory, {resting}, sizeof(state->memory));",
+                f"{follows}[0] = 1.0;",
+                f"if (take_applied(y, {seen}, {p + len(others)}, u, {applied}, {m}, &told)) {{",
+                *(f"    {line}" for line in body(seen, applied)),
+                "}",
+                f"memcpy(u, {applied}, {m} * sizeof(double));",
+                *end,
+            ]
         self.kernel("sample")
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
-        text = "\n".join(f"    {line}" for line in body)
         parts = [
             "\n".join(f'#include "{name}"' for name in includes)
             + "\n\n#include <math.h>\n#include <stddef.h>\n#include <string.h>",
             *self.parts,
             _START.format(table=start),
-            f"{_STEP}\n{{\n{text}\n}}",
+            *(
+                f"{head}\n{{\n" + "\n".join(f"    {line}" for line in lines) + "\n}"
+                for head, lines in functions.items()
+            ),
         ]
         return ControllerCode(
             {
@@ -377,11 +429,13 @@ class Code:
                     u=_in_comment([variable.name for variable in loop.inputs]),
                     sampling_time=f"{loop.sampling_time!r} s",
                     preview=preview,
+                    follow=_FOLLOWS if self.follows else "",
                 ),
                 "controller.c": "\n\n".join(parts) + "\n",
                 **_runtime(self._kernels),
             },
             STATUSES,
+            self.follows,
         )
 
     def table(self, kind: str, values: Sequence[str]) -> str:
@@ -427,8 +481,15 @@ typedef struct {{
 
 void controller_start(ControllerState *state);
 unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
-
+{follow}
 #endif
+"""
+
+_FOLLOWS = """
+/* In place of controller_step while something else drives the plant: u is what it applies at this
+ * sample, and comes back finite and within the bounds. The next controller_step goes on from there
+ * without a bump. The first call after a step, or after the start, begins a new past. */
+unsigned controller_follow(ControllerState *state, const double y[], const double r[], double u[]);
 """
 
 _START = """void controller_start(ControllerState *state)
@@ -438,6 +499,7 @@ _START = """void controller_start(ControllerState *state)
 }}"""
 
 _STEP = "unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])"
+_FOLLOW = _STEP.replace("_step", "_follow")
 
 
 def _runtime(kernels: Sequence[str]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +26,11 @@ from ddpc_cosim import (
     Controller,
     ControllerError,
     CosimWarning,
+    FloatArray,
     FMUImportError,
     FMUStepError,
     Loop,
+    Recording,
     Sample,
     Variable,
     check_settings,
@@ -61,8 +63,8 @@ class FMUController(Controller):
     them disturbances, forecasts, edges of bands, prices and limits that move, where the loop has such. Its
     outputs called as the plant's inputs are the control signal, those beside them are recorded as
     information. Units are converted where both sides
-    have one. An FMU that was exported from here is told missing measurements as NaN, and says in words why
-    its answer is a fallback.
+    have one. An FMU that was exported from here is told missing measurements as NaN, says in words why its
+    answer is a fallback, and follows the past of a plant that it takes over; another one starts from rest.
     """
 
     file: str = setting(file=True, doc="path of the FMU")
@@ -96,6 +98,8 @@ class FMUController(Controller):
             needed = {variable.name for variable in plant.inputs} | set(self.signals)
         self._inputs = {name: variable for name, variable in inputs.items() if name in needed}
         self._resource = _resource_of(self.file)
+        # Of an FMU from here: what tells it that it is not active, and what drives the plant then.
+        self._hand_over: Sequence[str] = self._resource.get("hand_over", ())
         known = [*inputs, *self._outputs]
         faults = [f'the FMU has no "{n}"; it has: {", ".join(known)}' for n in self.signals if n not in known]
         constant = [n for n in self._outputs if not isinstance(self.signals.get(n, n), str)]
@@ -139,7 +143,10 @@ class FMUController(Controller):
         places, self._constants = list[int](), list[float]()
         for name in self._inputs:
             signal = self._signal_of(name)
-            if not isinstance(signal, str):
+            if name in self._hand_over and name not in self.signals:
+                places.append(len(signals) + len(self._constants))
+                self._constants.append(self._inputs[name].start)
+            elif not isinstance(signal, str):
                 places.append(len(signals) + len(self._constants))
                 self._constants.append(float(signal))
             elif (place := of_further.get(signal, _place(signal, measured, controlled))) is not None:
@@ -179,6 +186,10 @@ class FMUController(Controller):
         self._converts = bool(units)
         self._places, self._sampling_time = np.array(places, dtype=np.intp), loop.sampling_time
         self._low, self._high = loop.bounds.u_min, loop.bounds.u_max
+        # What it was exported with is not of a loop that goes on where an experiment ended.
+        past = None if loop.continues_recording else loop.past
+        self._past = self._rows_before(past)
+        self._ignored = past is not None and not self._hand_over
 
     def step(self, sample: Sample) -> Action:
         """Return the FMU's outputs after a step with this sample's inputs, shape (m,)."""
@@ -189,12 +200,13 @@ class FMUController(Controller):
         if self._converts:
             inputs = (inputs - self._to[1]) / self._to[0]
         try:
-            if sample.k == 0 and sample.time:
-                self._reset(sample.time)
-            outputs = self._plant.step(inputs, self._sampling_time)
+            if sample.k == 0 and (sample.time or len(self._past)):
+                self._reset(sample.time - len(self._past) * self._sampling_time)
+                for before in self._past:
+                    self._do_step(before)
+            outputs = self._do_step(inputs)
         except FMUStepError as error:
             raise ControllerError(str(error)) from error
-        self._given.frombytes(inputs.tobytes())
         m = len(self._low)
         u, others = outputs[:m], dict(zip(self._others_out, outputs[m:].tolist(), strict=True))
         if self._converts:
@@ -207,6 +219,14 @@ class FMUController(Controller):
             if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
                 status = _CLIPPED
         return Action(held, status, {name: value for name, value in others.items() if isfinite(value)})
+
+    def warnings(self) -> Sequence[str]:
+        """Return that it does not follow the past of a plant that it takes over."""
+        if not self._ignored:
+            return []
+        return [
+            f"{Path(self.file).name}: cannot follow a running plant before it takes over: it starts from rest"
+        ]
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals that it gets; only an FMU exported from here says what else it knows."""
@@ -234,6 +254,36 @@ class FMUController(Controller):
             for inputs in given:
                 self._plant.step(inputs, self._sampling_time)
         self._given.frombytes(given.tobytes())
+
+    def _do_step(self, inputs: FloatArray) -> FloatArray:
+        """Return the outputs, and note what was given."""
+        outputs = self._plant.step(inputs, self._sampling_time)
+        self._given.frombytes(inputs.tobytes())
+        return outputs
+
+    def _rows_before(self, past: Recording | None) -> FloatArray:
+        """Return its inputs at the samples of a running plant's past, one row each, not active."""
+        if past is None or not self._hand_over:
+            return np.empty((0, len(self._places)))
+        n, references = len(past), np.tile(past.y, 1 + self.horizon)
+        further = [np.full((n, prod(shape)), np.nan) for shape in self._further.values()]
+        for name, columns in zip(self._further, further, strict=True):
+            if name == "disturbance":
+                columns[...] = past.d
+        constants = np.tile(self._constants, (n, 1))
+        rows = np.hstack([past.y, past.measured[:, self._others], references, *further, constants])[
+            :, self._places
+        ]
+        names = list(self._inputs)
+        rows[:, names.index(self._hand_over[0])] = 0.0
+        if self._converts:
+            rows = (rows - self._to[1]) / self._to[0]
+        scales = zip(
+            past.u.T, self._from.T if self._converts else [(1.0, 0.0)] * past.u.shape[1], strict=True
+        )
+        for name, (u, (factor, offset)) in zip(self._hand_over[1:], scales, strict=True):
+            rows[:, names.index(name)] = (u - offset) / factor
+        return np.asarray(rows)
 
     def _reset(self, time: float) -> None:
         """Initialise the FMU at a time [s]; nothing has been given to it yet."""

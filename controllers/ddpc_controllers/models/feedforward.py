@@ -48,6 +48,12 @@ class Feedforward:
         self._first: FloatArray | None = None
         self._lags = np.zeros(gains.shape[1:])
 
+    @property
+    def memory(self) -> FloatArray:
+        """What it remembers, for code in C: the first disturbances and their lags, ((1 + lags) n_d,)."""
+        first = np.zeros(self.gains.shape[2]) if self._first is None else self._first
+        return np.append(first, self._lags)
+
     def step(self, d: FloatArray) -> FloatArray:
         """Return what to add to the inputs, shape (m,), for disturbances d, shape (n_d,)."""
         if self._first is None:

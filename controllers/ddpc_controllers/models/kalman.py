@@ -145,19 +145,22 @@ class Observer:
             "b": self.b,
             "c": self.c,
             "gain": np.vstack([self._gain, np.zeros((1, p))]),
+            "rest_u": self._resting_gain("inputs"),
         }
         disturbances = self.e.shape[1]
         if disturbances:
-            tables |= {"e": self.e, "f": self.f, "rest_d": self._resting_gain()}
+            tables |= {"e": self.e, "f": self.f, "rest_d": self._resting_gain("disturbances")}
         named: dict[str, object] = {name: code.doubles(table) for name, table in tables.items()}
         if disturbances:
             named["disturbances"] = disturbances
         return code.constant("Observer", m=self.b.shape[1], p=p, n=n, **named)
 
-    def _resting_gain(self) -> FloatArray:
-        """Return what disturbances do to the state at rest, shape (n + n_w + 1, n_d)."""
-        u, n_d = np.zeros(self.b.shape[1]), self.e.shape[1]
-        laws = [self.resting_law(u, d)[:, -1] for d in np.vstack([np.zeros(n_d), np.eye(n_d)])]
+    def _resting_gain(self, of: Literal["inputs", "disturbances"]) -> FloatArray:
+        """Return what these do to the state at rest, shape (n + n_w + 1, m) or (n + n_w + 1, n_d)."""
+        m, n_d = self.b.shape[1], self.e.shape[1]
+        size, first = (m, 0) if of == "inputs" else (n_d, m)
+        moved = np.eye(1 + size, m + n_d, k=first - 1) * (np.arange(1 + size) > 0)[:, np.newaxis]
+        laws = [self.resting_law(signals[:m], signals[m:])[:, -1] for signals in moved]
         return np.array(laws[1:]).T - laws[0][:, np.newaxis]
 
     def follow(self, recording: Recording) -> None:
@@ -349,7 +352,7 @@ class ModelBased(ScaledSignals):
             look = code.ahead.chosen(code, lambda sample: sample.disturbance, place)
         return code.step(
             f"{look}{code.held('ObserverMemory', *others, scratch)}"
-            f"if (!observe(&{observer}, &held, sample->y, u, told)) return;\n"
+            f"if (!observe(&{observer}, &held, sample, u, told)) return;\n"
             f"{self._c_decide(code, loop, observer)}\n"
             f"predict(&{observer}, &held, u);"
         )

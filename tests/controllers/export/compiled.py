@@ -72,7 +72,7 @@ class CompiledController:
     """The C code of a started controller, as a state to step."""
 
     def __init__(self, controller: Controller, loop: Loop) -> None:
-        self.code = controller.c_code(loop)
+        self.code, self._loop = controller.c_code(loop), loop
         self._library = compiled(self.code)
         sizes = dict(
             line.split()[1:]
@@ -99,6 +99,24 @@ class CompiledController:
             self._u,
         )
         return np.array(self._u)
+
+    def follow(self, sample: Sample, applied: FloatArray) -> FloatArray:
+        """Let it follow a sample at which these inputs are applied; return what it answers, shape (m,)."""
+        y, r = self._arguments(sample)
+        self._u[:] = applied.tolist()
+        self.status = self._library.controller_follow(
+            ctypes.byref(self.state),
+            y.ctypes.data_as(self._doubles),
+            r.ctypes.data_as(self._doubles),
+            self._u,
+        )
+        return np.array(self._u)
+
+    def limits_at(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of the inputs at a sample."""
+        if self._loop.moving_limits:
+            return sample.input_limits[0, :, 0], sample.input_limits[0, :, 1]
+        return self._loop.bounds.u_min, self._loop.bounds.u_max
 
     def _arguments(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
         y = np.append(sample.y, sample.measured[self._others])

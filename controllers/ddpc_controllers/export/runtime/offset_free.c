@@ -24,6 +24,7 @@ static void estimate_disturbance(const OffsetFree *wrapper, const OffsetFreeMemo
 Sample shift_references(const OffsetFree *wrapper, const OffsetFreeMemory *held, const Sample *sample)
 {
     const size_t p = wrapper->p, target = wrapper->horizon ? 1 : 0; /* the first that is to be reached */
+    if (sample->applied != NULL) return *sample; /* no disturbance is known when it is switched on */
     if (all_finite(sample->y, p)) estimate_disturbance(wrapper, held, sample->y);
     else if (*held->begun == 0.0) memcpy(held->expected, sample->setpoint, p * sizeof(double));
     for (size_t k = 0; k <= wrapper->horizon; ++k) {
@@ -38,7 +39,7 @@ Sample shift_references(const OffsetFree *wrapper, const OffsetFreeMemory *held,
         }
     }
     *held->begun = all_finite(held->expected, p); /* without a reference nothing is expected of the next sample */
-    return (Sample){sample->y, sample->measured, held->shifted + p, held->shifted};
+    return (Sample){sample->y, sample->measured, held->shifted + p, held->shifted, NULL};
 }
 
 void remember_free(const OffsetFree *wrapper, const OffsetFreeMemory *held, const double u[])

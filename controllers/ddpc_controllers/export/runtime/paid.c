@@ -11,5 +11,5 @@ Sample with_paid(const Paid *paid, const Sample *sample, double memory[])
     memcpy(setpoint, sample->setpoint, p * sizeof(double));
     for (size_t k = 0; k < paid->horizon; ++k)
         memcpy(reference + k * width, sample->reference + k * p, p * sizeof(double));
-    return (Sample){y, sample->measured, reference, setpoint};
+    return (Sample){y, sample->measured, reference, setpoint, sample->applied};
 }

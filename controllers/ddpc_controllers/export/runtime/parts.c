@@ -14,7 +14,12 @@ Sample sample_of_group(const Group *group, const Sample *sample, double memory[]
     choose(sample->setpoint, group->of_outputs, group->p, setpoint);
     for (size_t k = 0; k < group->horizon; ++k)
         choose(sample->reference + k * group->outputs, group->of_outputs, group->p, reference + k * group->p);
-    return (Sample){y, measured, reference, setpoint};
+    double *applied = NULL;
+    if (sample->applied != NULL) {
+        applied = reference + group->horizon * group->p;
+        choose(sample->applied, group->of_inputs, group->m, applied);
+    }
+    return (Sample){y, measured, reference, setpoint, applied};
 }
 
 void place_inputs(const Group *group, const double own[], double u[])
@@ -37,6 +42,7 @@ bool take_sample(const Cascade *cascade, const CascadeMemory *held, const Sample
 {
     if (cascade->chosen != NULL) choose(sample->measured, cascade->chosen, cascade->targets, held->y);
     else memcpy(held->y, sample->y, cascade->targets * sizeof(double));
+    if (sample->applied != NULL) return false; /* where the outer inputs begin is decided when it is switched on */
     if (*held->samples < 0.0) begin(cascade, held->y, memory);
     *held->samples += 1.0;
     if (*held->samples > 0.0 && *held->samples < (double)cascade->period) return false;
@@ -49,12 +55,12 @@ Sample outer_sample(const Cascade *cascade, const CascadeMemory *held, const Sam
     const size_t p = cascade->p;
     for (size_t k = 0; k < cascade->horizon; ++k)
         memcpy(held->later + k * p, sample->reference + ((k + 1) * cascade->period - 1) * p, p * sizeof(double));
-    return (Sample){sample->y, sample->measured, held->later, sample->setpoint};
+    return (Sample){sample->y, sample->measured, held->later, sample->setpoint, NULL};
 }
 
 Sample inner_sample(const Cascade *cascade, const CascadeMemory *held, const Sample *sample)
 {
     for (size_t k = 0; k < cascade->inner_horizon; ++k)
         memcpy(held->constant + k * cascade->targets, held->target, cascade->targets * sizeof(double));
-    return (Sample){held->y, sample->measured, held->constant, held->target};
+    return (Sample){held->y, sample->measured, held->constant, held->target, sample->applied};
 }

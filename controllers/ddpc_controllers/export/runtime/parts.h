@@ -14,7 +14,7 @@ typedef struct {
     const size_t *of_outputs, *of_measurements, *of_inputs; /* where they stand in the loop */
 } Group;
 
-/* The group's part of a sample; `memory` has room for 2 p + q + horizon p values. */
+/* The group's part of a sample; `memory` has room for 2 p + q + horizon p + m values. */
 Sample sample_of_group(const Group *group, const Sample *sample, double memory[]);
 
 /* Put the group's inputs among those of the loop. */

@@ -15,6 +15,21 @@ void repeat_last(const double r[], size_t preview, size_t horizon, size_t p, dou
     }
 }
 
+bool take_applied(const double y[], double seen[], size_t n, const double u[], double applied[], size_t m, Told *told)
+{
+    bool known = true;
+    for (size_t i = 0; i < n; ++i) {
+        if (isfinite(y[i])) seen[i] = y[i];
+        else told->status |= STATUS_LAST;
+        known = known && isfinite(seen[i]);
+    }
+    for (size_t i = 0; i < m; ++i) {
+        if (isfinite(u[i])) applied[i] = u[i];
+        else told->status |= STATUS_HELD;
+    }
+    return known;
+}
+
 void hold_bounds(double u[], const double low[], const double high[], size_t m, double last[], Told *told)
 {
     for (size_t i = 0; i < m; ++i) {

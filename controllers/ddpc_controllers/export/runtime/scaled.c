@@ -12,7 +12,12 @@ Sample scale_sample(const Scaled *scaled, const Sample *sample, double memory[])
     for (size_t k = 0; k < scaled->horizon; ++k)
         for (size_t i = 0; i < scaled->p; ++i)
             reference[k * scaled->p + i] = sample->reference[k * scaled->p + i] / scaled->y[i];
-    return (Sample){y, measured, reference, setpoint};
+    double *applied = NULL;
+    if (sample->applied != NULL) {
+        applied = reference + scaled->horizon * scaled->p;
+        for (size_t i = 0; i < scaled->m; ++i) applied[i] = sample->applied[i] / scaled->u[i];
+    }
+    return (Sample){y, measured, reference, setpoint, applied};
 }
 
 void unscale_inputs(const Scaled *scaled, double u[])

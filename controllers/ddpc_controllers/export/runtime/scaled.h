@@ -12,7 +12,7 @@ typedef struct {
 } Scaled;
 
 /* Numbers that `scale_sample` needs. */
-#define SCALED_MEMORY(p, q, horizon) ((p) + (q) + ((horizon) + 1) * (p))
+#define SCALED_MEMORY(p, q, m, horizon) ((p) + (q) + ((horizon) + 1) * (p) + (m))
 
 Sample scale_sample(const Scaled *scaled, const Sample *sample, double memory[]);
 

@@ -90,12 +90,15 @@ void step_window(const Window *window, double memory[], const Sample *sample, do
             return;
         }
         fill_window(parts.y, window->past_y, p, sample->y);
+        if (sample->applied != NULL) fill_window(parts.u, window->past_u, m, sample->applied);
         fill_window(parts.d, window->past_u, window->disturbances, parts.d + window->past_u * window->disturbances);
         *parts.resting = 0.0;
     } else if (window->current) {
         append_outputs(window, &parts, sample->y);
     }
-    if (*parts.left > 0.0) {
+    if (sample->applied != NULL) {
+        next = sample->applied;
+    } else if (*parts.left > 0.0) {
         next = parts.answer + (window->steps - (size_t)*parts.left) * m;
         memmove(parts.forecast, parts.forecast + p, (window->steps - 1) * p * sizeof(double));
         *parts.left -= 1.0;

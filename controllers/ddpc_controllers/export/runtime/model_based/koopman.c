@@ -35,6 +35,7 @@ void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sampl
 {
     const size_t n = koopman->lifted, m = koopman->m;
     const bool begun = *held->begun != 0.0;
+    if (sample->applied != NULL && !begun) memcpy(held->u, sample->applied, m * sizeof(double));
     if (koopman->delays ? all_finite(sample->y, koopman->p) : all_finite(sample->measured, koopman->q)) {
         follow(koopman, held, sample->y, sample->measured);
         for (size_t i = 0; begun && i < n; ++i)
@@ -52,7 +53,8 @@ void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sampl
         return;
     }
     *held->begun = 1.0;
-    solve_predictor(koopman->predictor, held->z, held->u, sample->reference, held->predictor, u, told);
+    if (sample->applied != NULL) memcpy(u, sample->applied, m * sizeof(double));
+    else solve_predictor(koopman->predictor, held->z, held->u, sample->reference, held->predictor, u, told);
     memcpy(held->predicted, held->disturbance, n * sizeof(double));
     add_product(koopman->a, held->z, n, n, held->predicted);
     add_product(koopman->b, u, n, m, held->predicted);

@@ -17,8 +17,9 @@ void expected_outputs(const Observer *observer, const ObserverMemory *held, doub
     if (width) add_product(observer->f, disturbances_now(observer, held), p, width, y);
 }
 
-bool observe(const Observer *observer, const ObserverMemory *held, const double y[], double u[], Told *told)
+bool observe(const Observer *observer, const ObserverMemory *held, const Sample *sample, double u[], Told *told)
 {
+    const double *y = sample->y;
     const size_t m = observer->m, n = observer->n, p = observer->p, width = observer->disturbances;
     const bool missing = !all_finite(y, p);
     if (*held->resting != 0.0) {
@@ -31,6 +32,10 @@ bool observe(const Observer *observer, const ObserverMemory *held, const double 
         held->scratch[p] = 1.0;
         multiply(held->rest, held->scratch, n, p + 1, held->state);
         if (width) add_product(observer->rest_d, disturbances_now(observer, held), n, width, held->state);
+        for (size_t j = 0; sample->applied != NULL && j < m; ++j) { /* it rests with these inputs */
+            const double moved = sample->applied[j] - held->u[j];
+            for (size_t i = 0; i < n; ++i) held->state[i] += observer->rest_u[i * m + j] * moved;
+        }
         *held->resting = 0.0;
     }
     if (missing) told->status |= STATUS_EXPECTED;

@@ -13,6 +13,7 @@ typedef struct {
     size_t disturbances;      /* that are known */
     const double *e, *f;      /* what they do to the state and the outputs */
     const double *rest_d;     /* and to the state at rest */
+    const double *rest_u;     /* n x m: what inputs do to that */
 } Observer;
 
 typedef struct {
@@ -29,7 +30,7 @@ void expected_outputs(const Observer *observer, const ObserverMemory *held, doub
 /* Correct the estimate by the outputs measured now, as far as they are finite.
  *
  * Returns false while none was; u are the inputs at rest then. */
-bool observe(const Observer *observer, const ObserverMemory *held, const double y[], double u[], Told *told);
+bool observe(const Observer *observer, const ObserverMemory *held, const Sample *sample, double u[], Told *told);
 
 /* Go on by one sample with inputs u. */
 void predict(const Observer *observer, const ObserverMemory *held, const double u[]);

@@ -3,6 +3,7 @@
 #include "vectors.h"
 
 #include <math.h>
+#include <string.h>
 
 void regulate(const Regulator *regulator, const ObserverMemory *held, double sums[], double scratch[], const Sample *sample,
               double u[], Told *told)
@@ -15,10 +16,20 @@ void regulate(const Regulator *regulator, const ObserverMemory *held, double sum
         low = ahead + regulator->ahead;
         high = low + m;
     }
+    if (sample->applied != NULL) { /* the disturbances last, as far as the last inputs knew */
+        for (size_t i = observer->disturbances; i < regulator->ahead; ++i) ahead[i] = ahead[i - observer->disturbances];
+    }
     multiply(regulator->state_gain, held->state, m, n, wanted);
     for (size_t i = 0; i < m; ++i) wanted[i] = regulator->u_0[i] - wanted[i];
     if (regulator->ahead) add_product(regulator->feedforward, ahead, m, regulator->ahead, wanted);
-    for (size_t i = 0; i < m; ++i) u[i] = wanted[i] - held->u[i];
+    const double *last = sample->applied != NULL ? sample->applied : held->u;
+    for (size_t i = 0; i < m; ++i) u[i] = wanted[i] - last[i];
+    if (sample->applied != NULL) { /* as if these inputs had been its own */
+        multiply(regulator->sums_of_inputs, u, p, m, sum);
+        sums[0] = 1.0;
+        memcpy(u, sample->applied, m * sizeof(double));
+        return;
+    }
     if (sums[0] == 0.0) { /* the loop closes without a bump */
         multiply(regulator->sums_of_inputs, u, p, m, sum);
         sums[0] = 1.0;

@@ -10,6 +10,7 @@
 static void rest(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample)
 {
     fill_window(held->y, wkpc->past, wkpc->p, sample->y);
+    if (sample->applied != NULL) fill_window(held->u, wkpc->past, wkpc->m, sample->applied);
     fill_window(held->samples, wkpc->depth, wkpc->q, sample->measured);
     lift(wkpc->terms, wkpc->term_count, held->samples, held->state);
     fill_window(held->z, wkpc->past, wkpc->lifted, held->state);
@@ -42,7 +43,9 @@ void step_wkpc(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample, d
     }
     if (missing) told->status |= STATUS_EXPECTED;
     memcpy(held->reference, sample->reference, wkpc->horizon * p * sizeof(double));
-    if (solve_law(wkpc->law, held->z, held->law, held->answer, told)) {
+    if (sample->applied != NULL) {
+        memcpy(u, sample->applied, m * sizeof(double));
+    } else if (solve_law(wkpc->law, held->z, held->law, held->answer, told)) {
         memcpy(u, held->answer, m * sizeof(double));
         if (wkpc->near) keep_limits(u, held->reference + wkpc->horizon * p + wkpc->ahead + 1, m, wkpc->near, m);
         forecast = held->answer + m;

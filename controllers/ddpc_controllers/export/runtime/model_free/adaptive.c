@@ -243,6 +243,15 @@ static void solve_unlimited(const Adaptive *adaptive, const AdaptiveMemory *held
     }
 }
 
+/* Note how the inputs change, and what they are. */
+static void take_inputs(const Adaptive *adaptive, const AdaptiveMemory *held, const double u[])
+{
+    const size_t m = adaptive->m;
+    for (size_t j = 0; j < m; ++j) held->u[j] = u[j] - held->u[j];
+    prepend_sample(held->changes + adaptive->p * adaptive->output_length, adaptive->input_length, m, held->u);
+    memcpy(held->u, u, m * sizeof(double));
+}
+
 void adaptive_step(const Adaptive *adaptive, const AdaptiveMemory *held, const Sample *sample, double u[], Told *told)
 {
     const size_t p = adaptive->p, m = adaptive->m, n = adaptive->control_horizon * m;
@@ -254,13 +263,16 @@ void adaptive_step(const Adaptive *adaptive, const AdaptiveMemory *held, const S
     }
     observe(adaptive, held, sample->y);
     forecast(adaptive, held);
+    if (sample->applied != NULL) {
+        take_inputs(adaptive, held, sample->applied);
+        memcpy(u, sample->applied, m * sizeof(double));
+        return;
+    }
     predict(adaptive, held);
     for (size_t k = 0; k < adaptive->horizon * p; ++k)
         held->error[k] = sample->reference[k] - sample->y[k % p] - held->response[k * (n + 1) + n];
     solve_unlimited(adaptive, held);
     for (size_t i = 0; i < n; ++i) held->plan[i] *= adaptive->step_factor;
     limit_changes(adaptive->limits, &held->limits, held->u, held->plan, held->hessian, u, told);
-    for (size_t j = 0; j < m; ++j) held->u[j] = u[j] - held->u[j];
-    prepend_sample(held->changes + p * adaptive->output_length, adaptive->input_length, m, held->u);
-    memcpy(held->u, u, m * sizeof(double));
+    take_inputs(adaptive, held, u);
 }

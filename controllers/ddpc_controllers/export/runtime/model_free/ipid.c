@@ -46,9 +46,32 @@ static double ahead(const IPID *ipid, const IPIDMemory *held, size_t output)
     return held->estimates[output] + h * held->estimates[p + output] + h * h / 2.0 * highest;
 }
 
+/* The integral with which the last inputs were its own, for the reference of this sample. */
+static void take_over(const IPID *ipid, const IPIDMemory *held, const double setpoint[])
+{
+    const size_t p = ipid->p;
+    *held->begun = 1.0;
+    if (ipid->ki == 0.0 || !all_finite(setpoint, p)) return;
+    estimate(ipid, held);
+    for (size_t i = 0; i < p; ++i) {
+        const double error = setpoint[i] - held->window_y[ipid->samples * p + i];
+        double rest = dot(ipid->alpha + i * p, held->u, p) + held->estimates[ipid->order * p + i] - ipid->kp * error;
+        if (ipid->order > 1) rest += ipid->kd * held->estimates[p + i];
+        held->integral[i] = rest / ipid->ki;
+    }
+}
+
 void ipid_step(const IPID *ipid, const IPIDMemory *held, const Sample *sample, double u[], Told *told)
 {
     const size_t p = ipid->p;
+    if (sample->applied != NULL) {
+        if (*held->begun == 0.0) memcpy(held->u, sample->applied, p * sizeof(double));
+        observe(ipid, held, sample->y);
+        memcpy(held->u, sample->applied, p * sizeof(double));
+        memcpy(u, sample->applied, p * sizeof(double));
+        *held->begun = -1.0;
+        return;
+    }
     memcpy(u, held->u, p * sizeof(double));
     memcpy(held->y, sample->y, p * sizeof(double));
     if (!all_finite(sample->y, p)) {
@@ -61,6 +84,7 @@ void ipid_step(const IPID *ipid, const IPIDMemory *held, const Sample *sample, d
             if (!isfinite(held->y[i])) held->y[i] = ahead(ipid, held, i);
         told->status |= STATUS_EXPECTED;
     }
+    if (*held->begun < 0.0) take_over(ipid, held, sample->setpoint);
     observe(ipid, held, held->y);
     if (!all_finite(sample->reference, p)) {
         told->status |= STATUS_HELD;

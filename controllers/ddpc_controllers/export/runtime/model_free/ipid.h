@@ -13,7 +13,7 @@ typedef struct {
 } IPID;
 
 typedef struct {
-    double *begun;          /* whether the window is filled */
+    double *begun;          /* whether the window is filled; -1: and the integral follows from the last inputs, as its own */
     double *window_y;       /* (samples + 1) x p, oldest first */
     double *window_u;       /* samples x p */
     double *u, *integral;   /* p values each */

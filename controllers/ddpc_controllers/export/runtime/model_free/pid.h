@@ -20,7 +20,7 @@ typedef struct {
 } PID;
 
 typedef struct {
-    double *begun;   /* whether `bias` is known, and `before` */
+    double *begun;   /* whether `bias` is known, -1: it follows from the last inputs, as its own; and whether `before` is */
     double *elapsed; /* since `before` [s] */
     double *u;       /* m inputs */
     double *before, *bias, *rate; /* p values each: y, I and D; after the last ones limits that move, the lower ones
