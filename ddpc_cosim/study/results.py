@@ -3,6 +3,7 @@
 import math
 import os
 import warnings
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from ddpc_cosim.study.case_files import (
     read_sealed,
     sealed_json,
 )
+from ddpc_cosim.study.file_format.sections import LOGOS
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
 from fmu_plants.files import write_atomically, write_through
@@ -55,6 +57,7 @@ _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
 _RUNS, CASES_RUN = "runs", "cases run"
 _MOST_LISTED = 8
+_LOGO, _LARGEST_LOGO = "logo", 300_000
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -91,6 +94,14 @@ class StudyResults:
     damaged: dict[str, str] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     runs: tuple[dict[str, str], ...] = ()
+
+    @property
+    def logo(self) -> str:
+        """The logo of its report in a data URI; empty without one."""
+        file = logo_of(self.folder)
+        if file is None:
+            return ""
+        return f"data:{LOGOS[file.suffix]};base64,{b64encode(file.read_bytes()).decode('ascii')}"
 
     @property
     def _own_name(self) -> str:
@@ -570,6 +581,37 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
         f"{folder}: holds the results of another study ({other}; this one has {this}); "
         "give another folder (--out), or remove this one if it is not needed"
     )
+
+
+def keep_logo(folder: Path, study: "WholeStudy") -> None:
+    """Keep the logo of a study's report with its results, which may go elsewhere without it.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, it is too large, or the folder cannot be written to.
+    """
+    logo = next((problem.report.logo for problem in study.problems.values() if problem.report.logo), "")
+    if not logo:
+        return
+    try:
+        content = Path(logo).read_bytes()
+    except OSError as error:
+        if logo_of(folder):  # from an earlier run
+            return
+        raise ConfigError(f"report.logo: {logo}: cannot be read: {error.strerror}") from error
+    if len(content) > _LARGEST_LOGO:
+        size = f"{len(content) / 1000:.0f} kB; allowed: {_LARGEST_LOGO // 1000} kB"
+        raise ConfigError(f"report.logo: {logo}: {size}, as it is in every page")
+    try:
+        write_atomically(folder / f"{_LOGO}{Path(logo).suffix.lower()}", content)
+    except OSError as error:
+        raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
+
+
+def logo_of(folder: Path) -> Path | None:
+    """Return the logo that lies with results, if there is one."""
+    return next((file for suffix in LOGOS if (file := folder / f"{_LOGO}{suffix}").is_file()), None)
 
 
 def _write_first(path: Path, content: bytes) -> None:

@@ -84,6 +84,7 @@ from ddpc_cosim.study.results import (
     CASES_RUN,
     StudyResults,
     claim_folder,
+    keep_logo,
     load_cases,
     provenance_of,
     write_results,
@@ -254,6 +255,7 @@ def run_study(
     every = [*every, *doing_nothing(every)]
     cases = selection.part_of(every)
     claim_folder(folder, study)
+    keep_logo(folder, study)
     began = monotonic()
     ran = run_missing(cases, folder, selection, progress, begin=True)
     took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"

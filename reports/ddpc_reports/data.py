@@ -46,6 +46,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "warnings": part.warnings,
         "remarks": part.remarks,
         "facts": part.facts,
+        "comment": part.comment,
         "summary": part.summary,
         "source": part.source,
         "first": [_block(*block) for block in part.first],

@@ -42,6 +42,8 @@ def _part(part: StudyPart) -> Iterator[str]:
         yield from (_line(part.answer), "")
     yield from (f"{_text(line)}.\n" for line in part.remarks)
     yield "; ".join(f"{_text(name)}: {_text(value)}" for name, value in part.facts.items())
+    if part.comment:
+        yield from ("", _line(part.comment))
     yield from _blocks(part.first)
     for section in part.sections:
         yield from ("", f"### {_text(section.title)}")

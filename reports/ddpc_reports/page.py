@@ -31,10 +31,13 @@ def render_page(results: Sequence[StudyResults]) -> str:
         There are no results at all.
     """
     gathered = gather(results)
-    return set_page(gathered.parts, gathered.data, gathered.title)
+    logo = next((single.logo for single in results if single.logo), "")
+    return set_page(gathered.parts, gathered.data, gathered.title, logo)
 
 
-def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "") -> str:
+def set_page(
+    studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "", logo: str = ""
+) -> str:
     """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
     library, script = chart_library(), page_script()
     environment = Environment(
@@ -50,6 +53,7 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
     return environment.get_template("page.html.jinja").render(
         studies=studies,
         title=title or (studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared"),
+        logo=logo,
         style=Markup(stylesheet()),
         script=_Script(script),
         policy=content_policy([script, library]),

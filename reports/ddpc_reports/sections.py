@@ -115,6 +115,8 @@ class StudyPart:
         What the study says of itself.
     remarks : list of str
         What the ranking does not say.
+    comment : str
+        What its author says of the results.
     """
 
     id: str
@@ -128,6 +130,7 @@ class StudyPart:
     summary: str = ""
     source: str = ""
     remarks: list[str] = field(default_factory=list)
+    comment: str = ""
 
 
 @dataclass(frozen=True)
@@ -261,7 +264,7 @@ def _overall_part(
     how = "How to reproduce"
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
     sections.append(Section("provenance", how, made, folded=True))
-    facts = {"Problems": str(len(problems))} | _counts(results)
+    facts = {"Problems": str(len(problems))} | _counts(results) | _author(problems[0])
     title = (
         "All problems" if number == 1 else f"{clipped(head.title or head.name, _LONGEST_TITLE)}: all problems"
     )
@@ -537,6 +540,7 @@ def _study_part(
         results.study.summary.strip(),
         results.study.source,
         [remark.text for remark in remarks if not remark.is_failure],
+        results.study.report.comment.strip(),
     )
 
 
@@ -611,10 +615,16 @@ def _facts(results: StudyResults) -> dict[str, str]:
         "Controllers": _controllers_words(results),
         "Scenarios": str(len({case.scenario for case in results.cases})),
         **_counts(results),
+        **_author(results),
     }
     if facts["Scenarios"] == "1":
         del facts["Scenarios"]
     return facts
+
+
+def _author(results: StudyResults) -> dict[str, str]:
+    author = results.study.report.author.strip()
+    return {"Author": author} if author else {}
 
 
 def _counts(results: StudyResults) -> dict[str, str]:

@@ -19,14 +19,15 @@ import pytest
 import vl_convert
 from rich.console import Console
 
-from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
+from ddpc_cosim import ConfigError, CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import METRICS, metric_name
-from ddpc_cosim.study.results import METRICS_FILE, write_results
+from ddpc_cosim.study.results import METRICS_FILE, keep_logo, write_results
 from ddpc_reports import sections, write_report
 from ddpc_reports.embedding import chart_library
 from ddpc_reports.figures import drawing, over_time
+from ddpc_reports.page import render_page
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -520,3 +521,38 @@ def test_a_page_that_cannot_be_written_leaves_the_older_one(
         write_report([results], path)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.glob("*report*")] == ["report.html"]
+
+
+def test_author_comment_and_logo_stand_at_the_head_as_texts_and_data(make_results: MakeResults) -> None:
+    """The logo lies with the results; what it would load or run does nothing in a picture."""
+    svg = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><script>alert(1)</script></svg>'
+    results = make_results(report={"author": "A <b>B</b>", "comment": "Good & bad."})
+    (results.folder / "logo.svg").write_bytes(svg)
+    page = render_page([results])
+    assert "A &lt;b&gt;B&lt;/b&gt;" in page
+    assert '<p class="comment">Good &amp; bad.</p>' in page
+    (source,) = re.findall(r'<img class="logo" src="data:image/svg\+xml;base64,([^"]*)" alt="">', page)
+    assert base64.b64decode(source) == svg
+    assert '<img class="logo"' not in render_page([make_results()])
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "cannot be read: No such file or directory"), (b"x" * 300_001, "300 kB; allowed: 300 kB")],
+    ids=["missing", "large"],
+)
+def test_a_logo_that_cannot_be_kept_is_told_before_the_run(
+    make_results: MakeResults, tmp_path: Path, content: bytes | None, words: str
+) -> None:
+    logo = tmp_path / "a.PNG"
+    study = make_results(report={"logo": str(logo)}).whole
+    if content is not None:
+        logo.write_bytes(content)
+    with pytest.raises(ConfigError, match=words):
+        keep_logo(tmp_path, study)
+    logo.write_bytes(b"png")
+    keep_logo(tmp_path, study)
+    assert (tmp_path / "logo.png").read_bytes() == b"png"
+    logo.unlink()
+    keep_logo(tmp_path, study)
+    assert (tmp_path / "logo.png").exists(), "results that went elsewhere have it"

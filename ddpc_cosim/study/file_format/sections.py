@@ -789,6 +789,10 @@ class ClaimSection(Section):
             yield "order", "one controller is in no order; needed: two or more"
 
 
+LOGOS = {".svg": "image/svg+xml", ".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
+"""What a logo may be, by the end of its file's name, and what a page calls it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportSection(Section):
     """What the report shows besides what every report shows."""
@@ -800,6 +804,14 @@ class ReportSection(Section):
     reference_points: ReferencePoints | None = setting(
         None, doc="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
     )
+    author: Text = setting("", doc="who made the study")
+    comment: Text = setting("", doc="what the author says of the results, in a few sentences")
+    logo: str = setting("", doc="picture at the head of the page: SVG, PNG or JPEG, up to 300 kB", file=True)
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the logo's name."""
+        if self.logo and Path(self.logo).suffix.lower() not in LOGOS:
+            yield "logo", f'"{Path(self.logo).name}" must end in {", ".join(LOGOS)}'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -320,3 +320,8 @@ def test_a_flat_file_is_a_study_of_one_problem_that_has_its_name(tmp_path: Path)
         ("study", "mfapc_windy_seed0")
     ]
     assert "problems" not in (tmp_path / "out" / "study.toml").read_text(encoding="utf-8")
+
+
+def test_a_logo_is_a_picture(tmp_path: Path) -> None:
+    (fault,) = faults(tmp_path, f'{TWO}\n[report]\nlogo = "a.bmp"\n')
+    assert fault.endswith('report.logo: "a.bmp" must end in .svg, .png, .jpg, .jpeg')
