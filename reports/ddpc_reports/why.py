@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from ddpc_cosim import FloatArray, Trace
+from ddpc_cosim import CaseResult, FloatArray, Trace
+from ddpc_cosim.files.texts import recorded, without_folders
 from ddpc_cosim.loop.data_quality import judge_prediction
 from ddpc_cosim.study.verdicts.sentences import italic, join_words
 from ddpc_reports.comparison import Condition, ControllerResults
@@ -63,12 +64,12 @@ def _why(condition: Condition, controller: ControllerResults, best: ControllerRe
         return Markup("")
     trace = case.trace()
     if not len(trace):
-        return Markup("Seed {}: {}: {}.").format(case.seed, case.outcome, case.reason.rstrip("."))
+        return Markup("Seed {}: {}: {}.").format(case.seed, case.outcome, _reason(case))
     clock = clock_of(condition)
     rival = next((other for other in best.cases if other.seed == case.seed), None) if best else None
     theirs = rival.trace() if rival else None
     at = _time(clock, trace.time[-1])
-    ended = "" if trace.completed else f"It ends at {at}: {case.reason.rstrip('.')}. "
+    ended = "" if trace.completed else f"It ends at {at}: {_reason(case)}. "
     stretch = where_behind(trace, theirs) if theirs is not None else _from_where_it_leaves(trace)
     if stretch is None:
         return Markup("Seed {}: {}").format(case.seed, ended) if ended else Markup("")
@@ -84,6 +85,10 @@ def _why(condition: Condition, controller: ControllerResults, best: ControllerRe
     causes = [*_causes(condition, trace, theirs, stretch, clock)]
     said = join_words(causes) if causes else Markup("no limit, fallback or disturbance is there")
     return Markup("Seed {}: {}{}; {}.").format(case.seed, ended, lost, said)
+
+
+def _reason(case: CaseResult) -> str:
+    return without_folders(recorded(case.reason)).rstrip(".")
 
 
 def where_behind(trace: Trace, other: Trace) -> Stretch | None:

@@ -167,6 +167,9 @@ def pendulum(**changes: Any) -> Problem:
 REPORT: dict[str, Any] = {
     "panels": [{"title": "All", "controllers": ["pid", "DeePC-short"]}],
     "limitations": ["It is short."],
+    "author": "Its author",
+    "comment": "It is short.",
+    "logo": "logo.svg",
     "claims": [
         {"text": "PID is best", "metric": "rmse.angle", "lowest": "mfapc"},
         {"text": "DeePC is worst", "metric": "rmse.angle", "highest": "ipid"},
@@ -366,6 +369,9 @@ def keys_in(hint: Any, value: Any) -> Iterator[tuple[str, str]]:
     elif isinstance(value, dict):
         if get_origin(hint) is Annotated and not classes_of(hint):
             yield from keys_in(get_args(hint)[0], value)
+        elif get_origin(hint) in (Union, UnionType) and not classes_of(hint):
+            for argument in get_args(hint):
+                yield from keys_in(argument, value)
         elif get_origin(hint) in (dict, Mapping):
             for item in value.values():
                 yield from keys_in(get_args(hint)[1], item)
