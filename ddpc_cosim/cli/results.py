@@ -18,13 +18,19 @@ from ddpc_cosim.study.verdicts.findings import findings_of
 _MOST_LISTED = 20
 
 
-def show_results(results: StudyResults, *, report: bool = True, browse: bool = False) -> int:
-    """Print the result table, the path of the report and what has failed, and return the exit code."""
+def show_results(
+    results: StudyResults, *, report: bool = True, browse: bool = False, is_part: bool = False
+) -> int:
+    """Print the result table, the path of the report and what has failed, and return the exit code.
+
+    Requirements count in it unless the results are a part of the study's alone.
+    """
     folder = results.folder
     console = screen()
-    ran = [problem for problem in results.problems() if problem.cases]
+    ran, passes = [problem for problem in results.problems() if problem.cases], True
     for problem in results.problems():
         findings = findings_of(problem.study, problem.cases)
+        passes = passes and (findings.requirements is None or findings.requirements.passed)
         for remark in findings.remarks:
             style = "bold red" if remark.is_failure else ""
             console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
@@ -46,7 +52,7 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
             failed.setdefault((case.outcome, alike(case.reason or case.failure)), []).append(case)
     _print_some([_failure(cases) for cases in failed.values()], f": {folder / METRICS_FILE}")
     ended_early = any(outcome is not Outcome.COMPLETED for outcome, _ in failed)
-    return 1 if print_damaged(results) or ended_early else 0
+    return 1 if print_damaged(results) or ended_early or not (passes or is_part) else 0
 
 
 def _failure(cases: Sequence[CaseResult]) -> str:

@@ -279,6 +279,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)
+    if findings.requirements:
+        lines += findings.requirements.lines
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
     return lines

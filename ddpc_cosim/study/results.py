@@ -284,6 +284,23 @@ class StudyResults:
 
         return share_frame(self.whole, self.cases, metric)
 
+    def requirements(self) -> "pd.DataFrame":
+        """Return who meets what the study requires, and on how many of the seeds.
+
+        Returns
+        -------
+        table : pandas.DataFrame
+            One row per problem, controller, requirement and scenario: ``problem``, ``controller``, ``label``,
+            ``metric`` (its key, as a column of :meth:`frame`), ``min`` and ``max`` in ``unit`` (infinite:
+            none), ``scenario``, ``runs``, how many of them ``met`` it, ``share`` and what share is
+            ``needed``, ``is_met``, and ``why`` others did not. Without requirements it has no rows.
+        """
+        from ddpc_cosim.study.verdicts.requirements import requirements_frame
+
+        return requirements_frame(
+            (result.study.name, result.study, result.cases) for result in self.problems()
+        )
+
     def trace(
         self, controller: str, *, problem: str = "", scenario: str = "", seed: int | None = None
     ) -> Trace:

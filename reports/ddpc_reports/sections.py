@@ -34,6 +34,7 @@ from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, st
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
+from ddpc_reports.requirements import requirements_table, requirements_words
 from ddpc_reports.sensitivity import (
     effects_table,
     sensitivity_figures,
@@ -374,12 +375,24 @@ class _Part:
     def first(self) -> list[Block]:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""
         return [
+            *_in_their_place("Requirements", self._decision),
             *_in_their_place("Ranking", self.table),
+            *_in_their_place("Requirements", self._required),
             *_in_their_place("Comfort against money", self._trade),
             *_in_their_place("Claims", lambda: _tables(claims_table(self.results, self.prefix))),
             *_in_their_place("Sweeps", self._swept),
             *_in_their_place("Tuning", self._tuned),
         ]
+
+    def _decision(self) -> list[Block]:
+        words = requirements_words(self.findings.requirements)
+        return [("paragraph", words)] if words else []
+
+    def _required(self) -> list[Block]:
+        members = {member.key: member for condition in self.seen for member in condition.controllers}
+        members |= {member.key: member for condition in self.seen for member in condition.variants}
+        order = in_order([*members.values()], self.standings)
+        return _tables(requirements_table(self.findings.requirements, order, self.prefix))
 
     def _trade(self) -> list[Block]:
         shown = [condition for condition in self.seen if condition in self.budget.spread]
