@@ -82,7 +82,7 @@ class RequirementsSection(Section):
             if name not in _OWN:
                 of_signal = issubclass(metric.of, Response | Actuation)
                 hint: Any = dict[str, RequirementSection] if of_signal else RequirementSection | None
-                info = SettingInfo(f"what is required of it: {metric.description or metric.label}")
+                info = SettingInfo(metric.description or metric.label)
                 default = dict if of_signal else _none
                 fields[name] = DeclaredField(name, hint, info, False, default, within=_LIMITS)
         return fields
