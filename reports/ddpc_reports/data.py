@@ -49,7 +49,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "facts": part.facts,
         "summary": part.summary,
         "source": part.source,
-        "first": [_block(*block) for block in part.first],
+        "first": [_block(*block) for block in part.first if block[0] != "baseline"],
         "sections": [
             {"title": section.title, "blocks": [_block(*block) for block in section.blocks]}
             for section in part.sections

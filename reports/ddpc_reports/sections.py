@@ -24,9 +24,10 @@ from ddpc_reports.across_problems import (
     overall_statements,
     overall_table,
 )
+from ddpc_reports.against import Baselines, baselines_of
 from ddpc_reports.answer import answer
 from ddpc_reports.certainty import certainty_table
-from ddpc_reports.comparison import Condition, conditions, on_one_page
+from ddpc_reports.comparison import Condition, ControllerResults, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
@@ -356,21 +357,37 @@ class _Part:
         """Return the table of the first screen: of one scenario its ranking, of several a matrix."""
         shown = [condition for condition in self.seen if condition.controllers]
         if len(shown) == 1:
-            return _tables(ranking_table(shown[0], self.standings, self.prefix))
+            return [
+                *_tables(ranking_table(shown[0], self.standings, self.prefix)),
+                *self._choice("ranking", in_order(shown[0].controllers, self.standings)),
+            ]
         if not shown:
             return []
         members = {controller.key: controller for condition in shown for controller in condition.controllers}
         order = in_order([*members.values()], self.standings)
         labels = {condition.scenario: condition.label for condition in self.seen}
-        return _tables(
-            matrix_table(
-                _places(self.results, self.seen, self.prefix, self.budget),
-                order,
-                rank_columns(self.standings, order),
-                rank_notes(self.standings, labels),
-                self.prefix,
-            )
-        )
+        baselines = self._baselines(order)
+        return [
+            *_tables(
+                matrix_table(
+                    _places(self.results, self.seen, self.prefix, self.budget),
+                    order,
+                    rank_columns(self.standings, baselines),
+                    [*rank_notes(self.standings, labels), *baselines.notes()],
+                    self.prefix,
+                )
+            ),
+            *self._choice("matrix", order),
+        ]
+
+    def _baselines(self, order: Sequence[ControllerResults]) -> Baselines:
+        results = self.results
+        return baselines_of(self.standings, results.cases, order, results.study.report.baseline)
+
+    def _choice(self, table: str, order: Sequence[ControllerResults]) -> list[Block]:
+        """Return what lets the reader choose a baseline; other formats than the page leave it out."""
+        choice = self._baselines(order).choice(f"{self.prefix}{table}")
+        return [("baseline", choice)] if choice else []
 
     def first(self) -> list[Block]:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""

@@ -29,6 +29,7 @@ PUBLIC_MODULES = {
 PUBLIC_MODULES |= {
     f"study.verdicts.{name}"
     for name in (
+        "baselines",
         "claims",
         "findings",
         "judgement",
