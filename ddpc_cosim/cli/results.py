@@ -9,8 +9,10 @@ from pathlib import Path
 from ddpc_cosim.cli.output import say, screen, warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import overall_table, summary_table
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.texts import alike, printable
 from ddpc_cosim.loop.trace import Outcome
+from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import HTML, METRICS_FILE, REPORT_FILE, StudyResults, write_report
 from ddpc_cosim.study.verdicts.findings import findings_of
@@ -106,6 +108,17 @@ def write_and_open(results: Sequence[StudyResults], path: Path, form: str, *, br
             if webbrowser.open(path.resolve().as_uri()):
                 return
         print("no browser was found to open the report with", file=sys.stderr)
+
+
+def write_page(kind: str, path: Path, *content: object) -> None:
+    """Write a page that is not the report of a study by its installed writer, and print its path."""
+    writer = load_plugin("reports", kind)
+    with writing(str(path)):
+        try:
+            path = writer(*content, path)
+        except OSError as error:
+            raise ConfigError(f"{path}: the page cannot be written: {error.strerror}") from error
+    print(printable(str(path)))
 
 
 @contextmanager

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
 HTML = "html"
-_OPEN_LOOP = "simulation"
-"""The report that is of no study."""
+_OF_NO_STUDY = ("simulation", "differences")
+"""The pages that are of no study alone."""
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
     "provenance.json",
@@ -372,7 +372,9 @@ def provenance_of(problem: str, key: str) -> str:
 def report_formats() -> list[str]:
     """Return the formats that reports are written in: the installed writers."""
     return [
-        plugin.name for plugin in installed("reports") if callable(plugin.value) and plugin.name != _OPEN_LOOP
+        plugin.name
+        for plugin in installed("reports")
+        if callable(plugin.value) and plugin.name not in _OF_NO_STUDY
     ]
 
 

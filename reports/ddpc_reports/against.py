@@ -15,7 +15,6 @@ from ddpc_reports.numbers import MINUS, MISSING, fixed, significant, with_unit
 from ddpc_reports.tables.table import Column
 
 _TONES = {Verdict.BETTER: "versus met", Verdict.WORSE: "versus missed"}
-_WORDS = {Verdict.LEVEL: "n.\u00a0s.", Verdict.SMALL: "negligible", Verdict.FAILED: "untested"}
 _OWN = "baseline"
 
 
@@ -107,11 +106,9 @@ def _cell(ranking: Standings, key: str, baseline: str, controller: str) -> Cell:
     told = against(ranking, key, baseline, controller)
     if told is None or told.verdict is Verdict.UNKNOWN:
         return Cell(MISSING, math.nan, tone="versus", title=str(Verdict.UNKNOWN))
-    is_guess = told.verdict in _TONES and not told.tested
-    words = "untested" if is_guess else _WORDS.get(told.verdict, str(told.verdict))
-    tone = "versus" if is_guess else _TONES.get(told.verdict, "versus")
+    tone = _TONES[told.verdict] if told.is_told else "versus"
     value = told.difference.median if math.isnan(told.percent) else told.percent
-    return Cell(f"{_size(told, key)} {words}", value, tone=tone)
+    return Cell(f"{_size(told, key)} {told.word}", value, tone=tone)
 
 
 def _size(told: Against, key: str) -> str:

@@ -21,8 +21,13 @@ class Verdict(StrEnum):
     WORSE = "worse"
     LEVEL = "not told apart"
     SMALL = "too small to matter"
+    SAME = "the same"
+    OTHER = "changed"
     FAILED = "not tested, as runs failed"
     UNKNOWN = "no runs to compare"
+
+
+_SHORT = {Verdict.LEVEL: "n.\u00a0s.", Verdict.SMALL: "negligible", Verdict.FAILED: "untested"}
 
 
 class Against(NamedTuple):
@@ -45,6 +50,18 @@ class Against(NamedTuple):
     percent: float
     verdict: Verdict
     tested: bool
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the seeds tell that it is better or worse."""
+        return self.tested and self.verdict in (Verdict.BETTER, Verdict.WORSE)
+
+    @property
+    def word(self) -> str:
+        """What is told, in a word beside the difference."""
+        if self.verdict in (Verdict.BETTER, Verdict.WORSE):
+            return str(self.verdict) if self.tested else "untested"
+        return _SHORT.get(self.verdict, str(self.verdict))
 
 
 def with_baseline(ranking: Standings, cases: Iterable[CaseResult], baseline: str) -> Standings:
@@ -71,14 +88,27 @@ def against(ranking: Standings, key: str, baseline: str, controller: str) -> Aga
     if not difference.pairs:
         return Against(difference, math.nan, Verdict.UNKNOWN, tested=False)
     shared = {run: value for run, value in runs[baseline].items() if run in runs[controller]}
-    base = describe(shared).median
-    percent = 100.0 * difference.median / base if base > 0.0 else math.nan
-    is_next_to_nothing = not base > ranking.relevant_differences[key]
-    if is_next_to_nothing or not abs(percent) < _MOST:
-        percent = math.nan
-    return Against(
-        difference, percent, _verdict(ranking, key, baseline, controller, difference), ranking.tested
-    )
+    percent = percent_of(difference, describe(shared).median, ranking.relevant_differences[key])
+    verdict = _verdict(ranking, key, baseline, controller, difference)
+    return Against(difference, percent, verdict, ranking.tested)
+
+
+def percent_of(difference: Difference, base: float, relevant: float) -> float:
+    """Return the median of a difference in % of what it is from; NaN where that says little.
+
+    Parameters
+    ----------
+    difference : Difference
+        The difference.
+    base : float
+        The median that it is from.
+    relevant : float
+        The smallest difference that matters: below it ``base`` is next to nothing.
+    """
+    if not base > max(relevant, 0.0):
+        return math.nan
+    percent = 100.0 * difference.median / base
+    return percent if abs(percent) < _MOST else math.nan
 
 
 def _verdict(ranking: Standings, key: str, baseline: str, controller: str, difference: Difference) -> Verdict:
