@@ -30,6 +30,7 @@ PUBLIC_MODULES |= {
     f"study.verdicts.{name}"
     for name in (
         "baselines",
+        "changes",
         "claims",
         "findings",
         "judgement",
