@@ -144,12 +144,11 @@ def _table(name: str, caption: str, changes: Sequence[Change], keys: Sequence[st
     ]
     headings = (
         Heading("Controller", numeric=False),
+        Heading("verdict", "of before"),
         Heading("before"),
         Heading("after"),
         Heading("change"),
         Heading("interval", "95\u00a0%"),
-        Heading("change", "of before"),
-        Heading("verdict", numeric=False),
         *([Heading("failed", "before, after")] if any_failed else []),
     )
     return Table(name, caption, headings, tuple(rows), _NOTES, kind="grouped", download=f"{name[3:]}.csv")
@@ -167,13 +166,13 @@ def _rows(place: _Place, changes: Sequence[Change], any_failed: bool) -> Iterabl
         if change.verdict in (*_TONES, Verdict.OTHER) and not change.tested:
             verdict += ", untested"
         tone = _TONES.get(change.verdict, "") if change.tested else ""
+        percent = _in_percent(change) if change.verdict is not Verdict.SAME else ""
         cells = [
+            Cell(f"{percent} {verdict}".strip(), change.percent, tone=tone),
             before[i],
             after[i],
-            Cell(_in_unit(change, ""), change.difference.median, tone=tone),
+            Cell(_in_unit(change, ""), change.difference.median),
             Cell(intervals[i]),
-            Cell(_in_percent(change) or MISSING, change.percent, tone=tone),
-            Cell(verdict, tone=tone),
         ]
         if any_failed:
             old, new = change.failed

@@ -1,15 +1,23 @@
 """What the study requires, on the first screen: who meets it, on how many of the seeds, and why not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from markupsafe import Markup
 
+from ddpc_cosim import StudyResults
 from ddpc_cosim.files.tables import Cell, Heading, Table
-from ddpc_cosim.study.verdicts.requirements import Requirement, RequirementFindings, Tally
+from ddpc_cosim.files.texts import clipped
+from ddpc_cosim.study.verdicts.requirements import (
+    Requirement,
+    RequirementFindings,
+    Tally,
+    requirement_findings,
+)
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import unit_symbol
 from ddpc_reports.tables.table import controller_table
 
+_LONGEST = 60
 MET, MISSED = "\N{CHECK MARK}", "\N{MULTIPLICATION X}"
 _NOTES = (
     "A run meets a requirement if it did not fail and its metric is within the limits, both ends included; "
@@ -26,6 +34,24 @@ def requirements_words(findings: RequirementFindings | None) -> Markup | None:
     said = (f"{line[:1].upper()}{line[1:]}." for line in others)
     mark = MET if findings.passed else MISSED
     return Markup("<b>{}\u00a0{}.</b> {}").format(mark, verdict, " ".join(said))
+
+
+def overall_words(problems: Iterable[StudyResults]) -> Markup | None:
+    """Return which of several problems pass what they require; None where none requires anything."""
+    verdicts: dict[bool, list[str]] = {True: [], False: []}
+    for problem in problems:
+        findings = requirement_findings(problem.study, problem.cases)
+        if findings is not None:
+            verdicts[findings.passed].append(clipped(problem.study.title or problem.study.name, _LONGEST))
+    if not any(verdicts.values()):
+        return None
+    parts = [
+        f"{word} in {', '.join(names)}"
+        for word, names in (("not passed", verdicts[False]), ("passed", verdicts[True]))
+        if names
+    ]
+    mark = MISSED if verdicts[False] else MET
+    return Markup("<b>{}\u00a0Requirements:</b> {}.").format(mark, "; ".join(parts))
 
 
 def requirements_table(

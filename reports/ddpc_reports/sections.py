@@ -35,7 +35,7 @@ from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, st
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
-from ddpc_reports.requirements import requirements_table, requirements_words
+from ddpc_reports.requirements import overall_words, requirements_table, requirements_words
 from ddpc_reports.sensitivity import (
     effects_table,
     sensitivity_figures,
@@ -258,6 +258,8 @@ def _overall_part(
     else:
         few = "Fewer than two problems have controllers in common that do not all fail."
         first = [("notes", [comparison or few])]
+    if words := overall_words(problems):
+        first = [("paragraph", words), *first]
     how = "How to reproduce"
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
     sections.append(Section("provenance", how, made, folded=True))

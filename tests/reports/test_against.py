@@ -10,6 +10,7 @@ from selenium.webdriver.support.ui import Select
 
 from ddpc_cosim import Trace
 from ddpc_reports import write_json, write_markdown, write_report
+from ddpc_reports.requirements import overall_words
 
 from .synthetic import make_results_in, make_trace
 from .test_accessibility import AXE, FAULTS
@@ -128,3 +129,22 @@ def test_axe_finds_nothing_to_fault(
     Select(element(browser, ".against select")).select_by_visible_text("quick one")
     browser.execute_script(AXE.read_text(encoding="utf-8"))
     assert browser.execute_async_script(FAULTS) == []
+
+
+def test_of_several_problems_the_first_screen_says_which_pass(tmp_path: Path) -> None:
+    lower, higher = (
+        make_results_in(
+            tmp_path / name,
+            trace_of,
+            {key: {"type": "a"} for key in LAGS},
+            seeds=["0:2"],
+            name=name,
+            title=name,
+            requirements={"rmse": {"angle": {"max": most}}},
+        )
+        for name, most in (("strict", 1e-9), ("lenient", 1e9))
+    )
+    words = overall_words([lower, higher])
+    assert words is not None
+    assert "not passed in strict; passed in lenient." in words
+    assert overall_words([make_results_in(tmp_path / "none", seeds=[0])]) is None
