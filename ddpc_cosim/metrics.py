@@ -8,15 +8,15 @@ import math
 import re
 import warnings
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from ddpc_cosim.errors import CosimWarning
+from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import Plugin, installed, source_hash
 from ddpc_cosim.responses import (
     Actuation,
@@ -27,7 +27,8 @@ from ddpc_cosim.responses import (
     StepTimes,
     WholeRun,
 )
-from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
+from fmu_plants.units import display_unit
 
 _TRACE = "ddpc_cosim.loop.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
@@ -280,14 +281,81 @@ def _fault(plugin: Plugin) -> str:
 
 
 def _key(name: str, unit: str, samples: Any) -> str:
-    if isinstance(samples, Charged) and unit == "money":
-        unit = samples.money
-    if not isinstance(samples, SampledSignal):
-        return f"{name} [{unit}]"
-    shown = samples.variable.shown_in.name
+    if isinstance(samples, SampledSignal):
+        return _key_of_signal(name, unit, samples.variable)
+    return f"{name} [{samples.money if isinstance(samples, Charged) and unit == 'money' else unit}]"
+
+
+def _key_of_signal(name: str, unit: str, variable: Variable) -> str:
+    shown = variable.shown_in.name
     units = {"difference": shown, "value": shown}
     units |= {f"difference.{time}": f"{shown}.{time}".lstrip(".") for time in ("s", "h")}
-    return f"{name}.{samples.variable.name} [{units.get(unit, unit) or '1'}]"
+    return f"{name}.{variable.name} [{units.get(unit, unit) or '1'}]"
+
+
+def expected_keys(
+    outputs: Sequence[Variable],
+    inputs: Sequence[Variable],
+    banded: Collection[str],
+    charged: Charged | None,
+    *,
+    has_cost: bool,
+) -> tuple[str, ...]:
+    """Return the keys of the metrics that the runs of a problem will have, before there are any.
+
+    Parameters
+    ----------
+    outputs, inputs : sequence of Variable
+        The controlled outputs, and the inputs.
+    banded : collection of str
+        The outputs that are wanted within a band.
+    charged : Charged, optional
+        What is paid for, over one interval; None: nothing is.
+    has_cost : bool
+        Whether the study has a quadratic cost.
+    """
+    keys = list[str]()
+    for name, metric in all_metrics().items():
+        of_paid: Metric[Any] = metric
+        if issubclass(metric.of, Response):
+            is_of_band = issubclass(metric.of, BandResponse)
+            signals: Sequence[Variable] = [
+                v
+                for v in outputs
+                if not (is_of_band and v.name not in banded)
+                and not (metric.exists is _has_steps and v.name in banded)
+            ]
+            keys += [_key_of_signal(name, metric.unit, v) for v in signals]
+        elif issubclass(metric.of, Actuation):
+            keys += [_key_of_signal(name, metric.unit, v) for v in inputs]
+        elif issubclass(metric.of, Charged):
+            keys += [_key(name, metric.unit, charged)] if charged and of_paid.exists(charged) else []
+        elif has_cost or not issubclass(metric.of, WholeRun):
+            keys.append(_key(name, metric.unit, None))
+    return tuple(keys)
+
+
+def in_unit(key: str, unit: str) -> DisplayUnit:
+    """Return how values of a metric, which have the unit of its key, are shown in another one.
+
+    Differences convert without the offset of the unit: 5 degC more are 5 K more.
+
+    Raises
+    ------
+    ConfigError
+        It is not a unit of the same quantity.
+    """
+    own = split_key(key)[2]
+    if unit in ("", own):
+        return DisplayUnit(own)
+    is_level = metric_of(key).unit == "value"
+    # A product has no unit with an offset in it: a difference times a time is in K h.
+    units = (own, unit) if is_level else (text.replace("degC", "K") for text in (own, unit))
+    try:
+        shown = display_unit(*units)
+    except ValueError as error:
+        raise ConfigError(f'unit "{unit}" does not fit {key}; needed: one of the same quantity') from error
+    return shown if is_level else replace(shown, offset=0.0)
 
 
 def _or_nan(figure: Callable[[FloatArray], np.float64]) -> Callable[[FloatArray], float]:

@@ -10,6 +10,7 @@ from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import StudyResults, load_results
+from ddpc_cosim.study.verdicts.changes import cases_by_key
 from ddpc_cosim.variables import FloatArray
 
 _SOLVE_TIME = "solve_time [s]"
@@ -17,34 +18,33 @@ _SOLVE_TIME = "solve_time [s]"
 _COUNTS = ("failures", "samples")
 
 
-def compared(folders: tuple[Path, Path], absolute: float, relative: float) -> tuple[int, list[str]]:
+def loaded(folder: Path) -> StudyResults:
+    """Return the results of a folder, of which no case may be damaged.
+
+    Raises
+    ------
+    ConfigError
+        Some are, or there are no results.
+    """
+    results = load_results(folder)
+    if results.damaged:
+        raise ConfigError(list(results.damaged.values()))
+    return results
+
+
+def compared(
+    results: tuple[StudyResults, StudyResults], absolute: float, relative: float
+) -> tuple[int, list[str]]:
     """Return how many cases two folders of results have, and of each that differs in words how."""
-    first, second = (_cases(load_results(folder)) for folder in folders)
+    first, second = map(cases_by_key, results)
     lines = [
         f"{case.id}: {difference}"
         for key, case in first.items()
         if key in second and (difference := _difference(case, second[key], absolute, relative))
     ]
-    for folder, cases, others in ((folders[0], first, second), (folders[1], second, first)):
-        lines += [f"{case.id}: only in {folder}" for key, case in cases.items() if key not in others]
+    for own, cases, others in ((results[0], first, second), (results[1], second, first)):
+        lines += [f"{case.id}: only in {own.folder}" for key, case in cases.items() if key not in others]
     return len(first.keys() | second.keys()), lines
-
-
-def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]:
-    """Return the cases by problem, controller, scenario and seed, whatever settings or code they ran with.
-
-    Raises
-    ------
-    ConfigError
-        Some are damaged.
-    """
-    if results.damaged:
-        raise ConfigError(list(results.damaged.values()))
-    # The problem of a flat study has the study's name, by which two of them may differ.
-    problems = {name: "" if results.whole.is_flat else name for name in results.whole.problems}
-    return {
-        (problems[case.problem], case.controller, case.scenario, case.seed): case for case in results.cases
-    }
 
 
 def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:

@@ -9,8 +9,10 @@ from pathlib import Path
 from ddpc_cosim.cli.output import clipped, say, screen, warnings_in_one_line
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import overall_table, summary_table
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.texts import alike, printable
 from ddpc_cosim.loop.trace import Outcome
+from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import HTML, METRICS_FILE, REPORT_FILE, StudyResults, write_report
 from ddpc_cosim.study.verdicts.findings import findings_of
@@ -18,13 +20,19 @@ from ddpc_cosim.study.verdicts.findings import findings_of
 _MOST_LISTED, _LONGEST_WARNING = 20, 160
 
 
-def show_results(results: StudyResults, *, report: bool = True, browse: bool = False) -> int:
-    """Print the result table, what has failed, and last the path of the report; return the exit code."""
+def show_results(
+    results: StudyResults, *, report: bool = True, browse: bool = False, is_part: bool = False
+) -> int:
+    """Print the result table, what has failed, and last the path of the report; return the exit code.
+
+    Requirements count in it unless the results are a part of the study's alone.
+    """
     folder = results.folder
     console = screen()
-    ran = [problem for problem in results.problems() if problem.cases]
+    ran, passes = [problem for problem in results.problems() if problem.cases], True
     for problem in results.problems():
         findings = findings_of(problem.study, problem.cases)
+        passes = passes and (findings.requirements is None or findings.requirements.passed)
         for remark in findings.remarks:
             style = "bold red" if remark.is_failure else ""
             console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
@@ -48,7 +56,7 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     damaged = print_damaged(results)
     if report:
         write_and_open([results], folder / REPORT_FILE, HTML, browse=browse)
-    return 1 if damaged or ended_early else 0
+    return 1 if damaged or ended_early or not (passes or is_part) else 0
 
 
 def _failure(cases: Sequence[CaseResult]) -> str:
@@ -106,6 +114,17 @@ def _is_opened(path: Path) -> bool:
     with suppress(webbrowser.Error):
         return webbrowser.open(path.resolve().as_uri())
     return False
+
+
+def write_page(kind: str, path: Path, *content: object) -> None:
+    """Write a page that is not the report of a study by its installed writer, and print its path."""
+    writer = load_plugin("reports", kind)
+    with writing(str(path)):
+        try:
+            path = writer(*content, path)
+        except OSError as error:
+            raise ConfigError(f"{path}: the page cannot be written: {error.strerror}") from error
+    print(printable(str(path)))
 
 
 @contextmanager

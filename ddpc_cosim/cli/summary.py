@@ -15,6 +15,7 @@ from ddpc_cosim.files.texts import printable
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
+from ddpc_cosim.study.verdicts.baselines import against, with_baseline
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
@@ -78,6 +79,10 @@ def summary_table(
     rows = _rows(results, findings)
     columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
     columns = [column for column in columns if column.words != _RANGE or _has_values(column, rows)]
+    columns[len(_headline(results, keys)) :] = [
+        *_baseline_columns(results, findings),
+        *columns[len(_headline(results, keys)) :],
+    ]
     lines = _lines(results, findings, rows)
     further: list[str] = []
     if len(scenarios) > 1:
@@ -197,6 +202,33 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
     return [*columns, *spreads, *more] if len(ranked) == 1 else [*columns, *more, *spreads]
 
 
+def _baseline_columns(results: StudyResults, findings: Findings) -> list[_Column]:
+    """Return by how much each differs from the study's baseline, a column for each ranked metric."""
+    baseline = results.study.report.baseline
+    if not baseline:
+        return []
+    ranking = with_baseline(findings.standings, results.cases, baseline)
+    labels = {case.controller: case.label for case in results.cases}
+    label = clipped(labels.get(baseline, baseline), _LONGEST_LABEL)
+
+    def cell(cases: Sequence[CaseResult], key: str) -> Cell:
+        controller = cases[0].controller
+        told = against(ranking, key, baseline, controller)
+        if controller == baseline or told is None or math.isnan(told.difference.median):
+            return Cell("baseline" if controller == baseline else _MISSING)
+        size = f"{told.percent:+.3g} %"
+        if math.isnan(told.percent):
+            size = f"{told.difference.median:+.3g} {split_key(key)[2]}".removesuffix(" 1")
+        return Cell(f"{size} {told.word}".replace("\u00a0", " "))
+
+    words = f"against {label}"
+    several = len(ranking.keys) > 1
+    return [
+        _Column(Heading(words, _detail(key) if several else ""), words, "", partial(cell, key=key))
+        for key in ranking.keys
+    ]
+
+
 def _headline(results: StudyResults, keys: Sequence[str]) -> tuple[str, ...]:
     return headline(keys, results.study.metrics.ranking)
 
@@ -279,6 +311,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)
+    if findings.requirements:
+        lines += findings.requirements.lines
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
     return lines

@@ -126,6 +126,7 @@ def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: 
         "seeds": [seed],
         "controllers": {controller: study.controllers[controller]},
         "scenarios": {scenario: study.scenarios[scenario]},
+        "requirements": None,
         "report": type(study.report)(),
     }
     return replace(resolved, study=replace(study, **parts))

@@ -29,6 +29,7 @@ from ddpc_cosim.signals.signals import Band, Drift, GaussianNoise, ParameterChan
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP
+from ddpc_cosim.study.file_format.requirements import REQUIREMENTS, by_metric, with_requirements
 from ddpc_cosim.study.file_format.sections import (
     ControllerSection,
     LoopSection,
@@ -256,6 +257,11 @@ class Problem:
     parts : mapping of str to mapping of str to Any
         What is said of parts besides, those of an SSP archive too: ``parameters``, ``start``, ``step``,
         ``fmi_type``, ``isolated``.
+    requirements : mapping of str to Any
+        What controllers have to be, by metric and signal: ``{"overshoot.angle": {"max": 5.0}}``, with
+        ``min``, ``max``, ``share`` of the seeds, ``unit`` and ``scenarios``; ``share`` of all of them, and
+        ``controllers``, who has to meet it, by the names that :attr:`Study.controllers` lists. It decides no
+        result.
     title, summary, source : str
         Of this problem, where a study has several.
     report : mapping of str to Any
@@ -309,6 +315,7 @@ class Problem:
     connections: Sequence[Connection] = ()
     coupling: Mapping[str, Any] = field(default_factory=dict)
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    requirements: Mapping[str, Any] = field(default_factory=dict)
     title: str = ""
     summary: str = ""
     source: str = ""
@@ -361,6 +368,7 @@ class Problem:
             "recording": self._recording_table(),
             "scenarios": {name: scenario.table(inputs) for name, scenario in scenarios.items()},
             "metrics": _of(MetricsSection, self),
+            REQUIREMENTS: by_metric(plain(self.requirements)),
         }
         if self.continue_recording:
             tables["loop"]["start"] = "recording-end"
@@ -489,6 +497,8 @@ class Study:
     report : mapping of str to Any
         What the report shows besides: the keys of the table ``report`` of a study file, in which controllers
         have the names that :attr:`controllers` lists.
+    requirements : mapping of str to Any
+        What controllers have to be in all problems, as of :class:`Problem`, whose own stand in its place.
     sweep : sequence of mapping of str to sequence, or one of them
         Values to try of anything in the study, by its path in the file:
         ``{"loop.sampling_time": [0.1, 0.2]}``.
@@ -525,6 +535,7 @@ class Study:
         source: str = "",
         reference_points: tuple[str, str] | None = None,
         report: Mapping[str, Any] | None = None,
+        requirements: Mapping[str, Any] | None = None,
         sweep: Mapping[str, Any] | Sequence[Mapping[str, Any]] = (),
     ) -> None:
         faults = list[str]()
@@ -535,13 +546,16 @@ class Study:
             seeds = ()
         tables: Table = {"name": name, **said, "seeds": [int(seed) for seed in seeds]}
         self._recordings: dict[str, Problem] = {}
+        asked = by_metric(plain(requirements or {}))
         if isinstance(problems, Problem):
             tables = self._problem_tables("recording.csv", problems, faults) | tables
+            asked = with_requirements(asked, tables.get(REQUIREMENTS, {}))
         else:
             tables[PROBLEMS] = {
                 key: self._problem_tables(f"recording-{key}.csv", problem, faults)
                 for key, problem in problems.items()
             }
+        tables |= _given({REQUIREMENTS: asked})
         sections = _controllers(controllers, list(tables.get(PROBLEMS, ())), faults)
         tables |= absolute_paths({CONTROLLERS: sections, **_given({SWEEP: plain(sweep)})}, Path.cwd())
         if reference_points:

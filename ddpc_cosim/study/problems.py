@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
 
-from ddpc_cosim.codec import ValidationErrors, declared_fields, read, write
+from ddpc_cosim.codec import ValidationErrors, declared_fields, known_keys, read, write
 from ddpc_cosim.errors import Place
 from ddpc_cosim.files.texts import encodable
 from ddpc_cosim.study.file_format.replacing import (
@@ -17,7 +17,12 @@ from ddpc_cosim.study.file_format.replacing import (
     Table,
     changed_controller,
     replaced,
-    without_panels_of,
+    without_controllers,
+)
+from ddpc_cosim.study.file_format.requirements import (
+    REQUIREMENTS,
+    RequirementSection,
+    RequirementsSection,
 )
 from ddpc_cosim.study.file_format.sections import ScenarioSection, Study, StudyHead
 from fmu_plants.spelling import did_you_mean
@@ -25,6 +30,8 @@ from fmu_plants.spelling import did_you_mean
 OF_HEAD = tuple(declared_fields(StudyHead))
 _WORDS = ("title", "summary", "source")
 _OF_PROBLEM = (*_WORDS, "variant_of", "varied", *OF_PROBLEM, "report")
+_SHARED = {"report": 2, REQUIREMENTS: 3}
+"""What a study may say for all of its problems, and how many keys of a place a problem replaces together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +106,24 @@ class WholeStudy:
 
 
 def _written(tables: Table) -> Study:
-    """Return a flat study that was run; conditions that are not installed here are kept by their names."""
+    """Return a flat study that was run; what is of packages that are not installed is kept by its name."""
+    tables, lost = _known_requirements(tables)
+    study = _with_its_conditions(tables)
+    if lost and study.requirements is not None:
+        limits = study.requirements.limits | {key: read(RequirementSection, lost[key]) for key in lost}
+        study = replace(study, requirements=replace(study.requirements, limits=limits))
+    return study
+
+
+def _known_requirements(tables: Table) -> tuple[Table, Table]:
+    """Return tables without requirements on metrics that are not installed here, and those."""
+    requirements = tables.get(REQUIREMENTS, {})
+    lost = {key: table for key, table in requirements.items() if key not in known_keys(RequirementsSection)}
+    known = {key: table for key, table in requirements.items() if key not in lost}
+    return (tables | {REQUIREMENTS: known}, lost) if lost else (tables, lost)
+
+
+def _with_its_conditions(tables: Table) -> Study:
     known, scenarios = declared_fields(ScenarioSection), tables.get("scenarios")
     gone = {
         name: {key: value for key, value in scenario.items() if key not in known and _is_effect(value)}
@@ -152,9 +176,9 @@ def flat_studies(tables: Table, errors: ValidationErrors) -> Iterator[FlatStudy]
     errors : ValidationErrors
         What is found is added.
     """
-    allowed = (*OF_HEAD, PROBLEMS, CONTROLLERS, "report", SWEEP)
+    allowed = (*OF_HEAD, PROBLEMS, CONTROLLERS, *_SHARED, SWEEP)
     for key in tables:
-        if key in OF_PROBLEM:
+        if key in OF_PROBLEM and key not in _SHARED:
             errors.add((key,), f"each problem has its own: {PROBLEMS}.NAME.{key}")
         elif key not in allowed:
             errors.add((key,), f"unknown key; {did_you_mean(key, allowed)}")
@@ -178,11 +202,12 @@ def flat_studies(tables: Table, errors: ValidationErrors) -> Iterator[FlatStudy]
         flat = {
             "name": name,
             **({"seeds": tables["seeds"]} if "seeds" in tables else {}),
-            **replaced({"report": tables["report"]} if "report" in tables else {}, problem_tables),
+            **replaced({key: tables[key] for key in _SHARED if key in tables}, problem_tables),
             CONTROLLERS: _controllers_of(name, controllers),
         }
         if isinstance(flat.get("report"), dict) and isinstance(controllers, dict):
-            flat["report"] = without_panels_of(controllers.keys() - flat[CONTROLLERS].keys(), flat["report"])
+            left_out = controllers.keys() - flat[CONTROLLERS].keys()
+            flat["report"] = without_controllers(left_out, flat["report"])
         yield FlatStudy(name, flat, partial(_origin, tables, name))
 
 
@@ -232,7 +257,7 @@ def _origin(tables: Table, problem: str, place: Place) -> Place:
         return (*place[:2], *place_of_problem, *place[2:]) if of_problem else place
     if first == "name":
         return place_of_problem
-    of_study = first == "report" and not has_key(tables[PROBLEMS][problem], place[:2])
+    of_study = first in _SHARED and not has_key(tables[PROBLEMS][problem], place[: _SHARED[first]])
     return place if of_study or first in ("seeds", CONTROLLERS) else (*place_of_problem, *place)
 
 

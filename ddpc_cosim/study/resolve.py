@@ -36,6 +36,7 @@ from ddpc_cosim.study.controllers import (
     time_limit,
 )
 from ddpc_cosim.study.disturbances import Disturbances
+from ddpc_cosim.study.file_format.requirements import REQUIREMENTS
 from ddpc_cosim.study.file_format.sections import (
     BandSection,
     BoundsSection,
@@ -48,6 +49,7 @@ from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.prices import Prices
 from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.study.requirements import RequirementsCheck
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
@@ -259,6 +261,7 @@ class _Resolution:
         self._check_ranking()
         self._check_relevant()
         self._check_claims()
+        RequirementsCheck(self.signals, self.prices.of_study).check()
         self.references = self._references()
         self.shared_bounds = self._shared_bounds()
         self.own_bounds = self._own_bounds() or {}
@@ -360,6 +363,9 @@ class _Resolution:
         for i, claim in enumerate(report.claims):
             for key in ("lowest", "highest", "order", "alike"):
                 self._require_controllers(("report", "claims", i), claim, key)
+        self._require_controllers(("report",), report, "baseline")
+        if self.study.requirements:
+            self._require_controllers((REQUIREMENTS,), self.study.requirements, "controllers")
         if report.reference_points:
             for key in ("zero", "full"):
                 self._require_controllers(("report", "reference_points"), report.reference_points, key)
@@ -383,7 +389,7 @@ class _Resolution:
 
     @independent
     def _require_controllers(self, place: Place, section: Section, key: str) -> None:
-        named = getattr(section, key)
+        named = getattr(section, key) or []
         given = [named] if isinstance(named, str) else named
         known = [*self.study.controllers, *(controller.name for controller in self.controllers)]
         # A controller whose section has errors is there all the same.

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
 HTML = "html"
-_NO_FORMATS = ("simulation", "pictures")
+_NO_FORMATS = ("simulation", "pictures", "differences")
 """Plug-ins of reports that write none of a study."""
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
@@ -299,6 +299,23 @@ class StudyResults:
         from ddpc_cosim.study.verdicts.shares import share_frame
 
         return share_frame(self.whole, self.cases, metric)
+
+    def requirements(self) -> "pd.DataFrame":
+        """Return who meets what the study requires, and on how many of the seeds.
+
+        Returns
+        -------
+        table : pandas.DataFrame
+            One row per problem, controller, requirement and scenario: ``problem``, ``controller``, ``label``,
+            ``metric`` (its key, as a column of :meth:`frame`), ``min`` and ``max`` in ``unit`` (infinite:
+            none), ``scenario``, ``runs``, how many of them ``met`` it, ``share`` and what share is
+            ``needed``, ``is_met``, and ``why`` others did not. Without requirements it has no rows.
+        """
+        from ddpc_cosim.study.verdicts.requirements import requirements_frame
+
+        return requirements_frame(
+            (result.study.name, result.study, result.cases) for result in self.problems()
+        )
 
     def trace(
         self, controller: str, *, problem: str = "", scenario: str = "", seed: int | None = None

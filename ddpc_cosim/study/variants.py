@@ -8,6 +8,7 @@ from typing import Any
 from ddpc_cosim.codec import ValidationErrors
 from ddpc_cosim.errors import Place
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP, Table, with_report
+from ddpc_cosim.study.file_format.requirements import REQUIREMENTS
 from ddpc_cosim.study.file_format.sweeps import (
     MOST_VARIANTS,
     ZIP,
@@ -88,7 +89,7 @@ def _path_error(parts: Sequence[FlatStudy], path: Place | None) -> str:
     """Return what is wrong with where a path begins; what it leads to is checked with each variant."""
     if path is None:
         return 'not a path; needed: keys with dots between them, such as loop.sampling_time or plant."a.b"'
-    if path[0] in (*OF_HEAD, "report", SWEEP) or len(path) < 2:
+    if path[0] in (*OF_HEAD, "report", REQUIREMENTS, SWEEP) or len(path) < 2:
         return "not a setting of a problem or of a controller, such as loop.sampling_time"
     known = {
         PROBLEMS: [part.problem for part in parts],
@@ -108,7 +109,7 @@ def _variant(
     part: FlatStudy, name: str, varied: dict[str, Any], paths: Mapping[str, tuple[Place, int]]
 ) -> FlatStudy:
     """Return a problem with other values at some paths."""
-    tables = dict(part.tables)
+    tables = {key: table for key, table in part.tables.items() if key != REQUIREMENTS}
     places: dict[Place, Place] = {}
     for key, (path, table) in paths.items():
         inner = path[2:] if path[0] == PROBLEMS else path

@@ -523,7 +523,7 @@ def _with_given(
             limitations=study.report.limitations,
             reference_points=points if points and {points.zero, points.full} <= controllers.keys() else None,
         )
-        problems[problem] = replace(study, controllers=controllers, report=report)
+        problems[problem] = replace(study, controllers=controllers, requirements=None, report=report)
     summary = (
         f"Settings as given against tuned ones, on seeds that played no part in it. {tuned.head.summary}"
     )

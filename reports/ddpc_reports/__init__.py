@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Pictures",
     "write_csv",
+    "write_differences",
     "write_json",
     "write_latex",
     "write_markdown",
@@ -103,6 +104,32 @@ def _written(text: str, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, text.encode("utf-8", "backslashreplace"))
     return path
+
+
+def write_differences(
+    before: "StudyResults", after: "StudyResults", verdict: str, lines: "Sequence[str]", path: Path
+) -> Path:
+    """Write one HTML page about what changed from one run of a study to another.
+
+    Parameters
+    ----------
+    before, after : StudyResults
+        The results of both.
+    verdict : str
+        How many of their cases agree.
+    lines : sequence of str
+        Of each case that does not, how it differs.
+    path : Path
+        The file to write; an existing one is replaced.
+
+    Returns
+    -------
+    path : Path
+        The file written.
+    """
+    from ddpc_reports.differences import differences_page
+
+    return _written(differences_page(before, after, verdict, lines), path)
 
 
 def write_simulation(simulation: "Simulation", path: Path) -> Path:

@@ -11,6 +11,7 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.files.tables import Cell, Table
 from ddpc_cosim.files.texts import encodable, printable, without_folders
 from ddpc_cosim.study.verdicts.findings import findings_of
+from ddpc_cosim.study.verdicts.requirements import RequirementFindings
 from ddpc_reports.comparison import labels
 from ddpc_reports.sections import StudyPart, gather
 from ddpc_reports.tidy import COLUMNS, tidy_rows
@@ -49,7 +50,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "comment": part.comment,
         "summary": part.summary,
         "source": part.source,
-        "first": [_block(*block) for block in part.first],
+        "first": [_block(*block) for block in part.first if block[0] != "baseline"],
         "sections": [
             {"title": section.title, "blocks": [_block(*block) for block in section.blocks]}
             for section in part.sections
@@ -123,6 +124,7 @@ def _ranking(part: StudyResults) -> dict[str, Any]:
         "lead": findings.lead.value,
         "leaders": findings.leaders,
         "leaders_are_sure": findings.is_sure,
+        **_required(findings.requirements),
         "leaders_by_scenario": ranking.leaders_by_scenario,
         "relevant_differences": [ranking.relevant_differences[key] for key in ranking.keys],
         "seeds": ranking.seeds,
@@ -142,6 +144,43 @@ def _ranking(part: StudyResults) -> dict[str, Any]:
             for standing in ranking.order
             for samples in [[ranking.samples[key][standing.controller] for key in ranking.keys]]
         ],
+    }
+
+
+def _required(findings: RequirementFindings | None) -> dict[str, Any]:
+    """Return who meets what the study requires; nothing where it requires nothing."""
+    if findings is None:
+        return {}
+    requirements = [
+        {
+            "metric": requirement.key,
+            "min": requirement.min,
+            "max": requirement.max,
+            "unit": requirement.unit,
+            "share": requirement.share,
+            "controllers": [
+                {
+                    "controller": tally.controller,
+                    "scenario": tally.scenario,
+                    "is_met": tally.is_met,
+                    "met": tally.met,
+                    "runs": tally.runs,
+                    "failed": tally.failed,
+                    "without_a_value": tally.unknown,
+                }
+                for tally in findings.tallies
+                if tally.requirement == requirement
+            ],
+        }
+        for requirement in findings.requirements
+    ]
+    return {
+        "requirements": {
+            "passed": findings.passed,
+            "controllers": findings.named,
+            "met_by": findings.meeting,
+            "each": requirements,
+        }
     }
 
 

@@ -59,7 +59,7 @@ def stylesheet() -> str:
 
 def page_script() -> str:
     """Return the page's own script."""
-    return _template("report.js")
+    return _template("against.js") + _template("report.js")
 
 
 def _bundle() -> bytes:

@@ -54,6 +54,8 @@ def _part(part: StudyPart) -> Iterator[str]:
 
 def _blocks(blocks: Sequence[tuple[str, Any]]) -> Iterator[str]:
     for kind, content in blocks:
+        if kind == "baseline":  # what the reader of a page chooses from
+            continue
         yield ""
         if kind == "table":
             yield from _table(content)

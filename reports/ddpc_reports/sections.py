@@ -24,9 +24,10 @@ from ddpc_reports.across_problems import (
     overall_statements,
     overall_table,
 )
+from ddpc_reports.against import Baselines, baselines_of
 from ddpc_reports.answer import answer
 from ddpc_reports.certainty import certainty_table
-from ddpc_reports.comparison import Condition, conditions, on_one_page
+from ddpc_reports.comparison import Condition, ControllerResults, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
@@ -35,6 +36,7 @@ from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.planes import plane_figure
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
+from ddpc_reports.requirements import overall_words, requirements_table, requirements_words
 from ddpc_reports.sensitivity import (
     effects_table,
     sensitivity_figures,
@@ -261,6 +263,8 @@ def _overall_part(
     else:
         few = "Fewer than two problems have controllers in common that do not all fail."
         first = [("notes", [comparison or few])]
+    if words := overall_words(problems):
+        first = [("paragraph", words), *first]
     how = "How to reproduce"
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
     sections.append(Section("provenance", how, made, folded=True))
@@ -360,31 +364,59 @@ class _Part:
         """Return the table of the first screen: of one scenario its ranking, of several a matrix."""
         shown = [condition for condition in self.seen if condition.controllers]
         if len(shown) == 1:
-            return _tables(ranking_table(shown[0], self.standings, self.prefix))
+            return [
+                *_tables(ranking_table(shown[0], self.standings, self.prefix)),
+                *self._choice("ranking", in_order(shown[0].controllers, self.standings)),
+            ]
         if not shown:
             return []
         members = {controller.key: controller for condition in shown for controller in condition.controllers}
         order = in_order([*members.values()], self.standings)
         labels = {condition.scenario: condition.label for condition in self.seen}
-        return _tables(
-            matrix_table(
-                _places(self.results, self.seen, self.prefix, self.budget),
-                order,
-                rank_columns(self.standings, order),
-                rank_notes(self.standings, labels),
-                self.prefix,
-            )
-        )
+        baselines = self._baselines(order)
+        return [
+            *_tables(
+                matrix_table(
+                    _places(self.results, self.seen, self.prefix, self.budget),
+                    order,
+                    rank_columns(self.standings, baselines),
+                    [*rank_notes(self.standings, labels), *baselines.notes()],
+                    self.prefix,
+                )
+            ),
+            *self._choice("matrix", order),
+        ]
+
+    def _baselines(self, order: Sequence[ControllerResults]) -> Baselines:
+        results = self.results
+        return baselines_of(self.standings, results.cases, order, results.study.report.baseline)
+
+    def _choice(self, table: str, order: Sequence[ControllerResults]) -> list[Block]:
+        """Return what lets the reader choose a baseline; other formats than the page leave it out."""
+        choice = self._baselines(order).choice(f"{self.prefix}{table}")
+        return [("baseline", choice)] if choice else []
 
     def first(self) -> list[Block]:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""
         return [
+            *_in_their_place("Requirements", self._decision),
             *_in_their_place("Ranking", self.table),
+            *_in_their_place("Requirements", self._required),
             *_in_their_place("Comfort against money", self._trade),
             *_in_their_place("Claims", lambda: _tables(claims_table(self.results, self.prefix))),
             *_in_their_place("Sweeps", self._swept),
             *_in_their_place("Tuning", self._tuned),
         ]
+
+    def _decision(self) -> list[Block]:
+        words = requirements_words(self.findings.requirements)
+        return [("paragraph", words)] if words else []
+
+    def _required(self) -> list[Block]:
+        members = {member.key: member for condition in self.seen for member in condition.controllers}
+        members |= {member.key: member for condition in self.seen for member in condition.variants}
+        order = in_order([*members.values()], self.standings)
+        return _tables(requirements_table(self.findings.requirements, order, self.prefix))
 
     def _trade(self) -> list[Block]:
         shown = [condition for condition in self.seen if condition in self.budget.spread]

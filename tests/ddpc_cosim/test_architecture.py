@@ -26,8 +26,22 @@ PUBLIC_MODULES = {
     "responses",
     "testing",
 }
-VERDICTS = ("claims", "findings", "judgement", "ranks", "sentences", "shares", "standings", "statistics")
-PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
+PUBLIC_MODULES |= {
+    f"study.verdicts.{name}"
+    for name in (
+        "baselines",
+        "changes",
+        "claims",
+        "findings",
+        "judgement",
+        "ranks",
+        "requirements",
+        "sentences",
+        "shares",
+        "standings",
+        "statistics",
+    )
+}
 PUBLIC_MODULES |= {"codec", "conditions", "study.file_format.sections", "study.file_format.sweeps"}
 
 

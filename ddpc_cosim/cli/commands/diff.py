@@ -7,6 +7,7 @@ from ddpc_cosim.cli.output import say
 
 _MOST_LISTED = 20
 _TOLERANCE = FiniteRange(min=0)
+_FILE = PathType(dir_okay=False)
 
 
 @command
@@ -20,15 +21,28 @@ def diff(
         type=_TOLERANCE,
         show_default=True,
     ),
+    page: Path | None = option(
+        None,
+        "Also write a page: before, after, and what changed.",
+        name="--html",
+        type=_FILE,
+        metavar="FILE",
+    ),
 ) -> int:
     """Compare two runs case by case; exit with 1 if one differs by more than both allow."""
-    from ddpc_cosim.cli.differences import compared
+    from ddpc_cosim.cli.differences import compared, loaded
 
-    total, lines = compared(folders, absolute, relative)
+    results = loaded(folders[0]), loaded(folders[1])
+    total, lines = compared(results, absolute, relative)
     agreeing = total - len(lines)
-    print(f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)")
+    verdict = f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)"
+    print(verdict)
     for line in lines[:_MOST_LISTED]:
         say(line)
     if len(lines) > _MOST_LISTED:
         print(f"and {len(lines) - _MOST_LISTED} more")
+    if page is not None:
+        from ddpc_cosim.cli.results import write_page
+
+        write_page("differences", page, *results, verdict, lines)
     return 1 if lines else 0

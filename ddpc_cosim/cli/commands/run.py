@@ -66,4 +66,5 @@ def run(
     if selection.is_part:
         count = f"{len(results.cases)} {'case' if len(results.cases) == 1 else 'cases'}"
         print(f"shard {selection.shard}: {count}; metrics.csv and report: run without --shard after the last")
-    return show_results(results, report=not (no_report or selection.is_part), browse=browse)
+    is_part = selection.is_part
+    return show_results(results, report=not (no_report or is_part), browse=browse, is_part=is_part)

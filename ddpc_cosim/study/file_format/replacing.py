@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterator, Set
 from typing import Any
 
 from ddpc_cosim.errors import Place
+from ddpc_cosim.study.file_format.requirements import REQUIREMENTS, with_requirements
 from ddpc_cosim.study.file_format.sweeps import ZIP, path_of
 from fmu_plants.spelling import did_you_mean
 
@@ -21,6 +22,7 @@ OF_PROBLEM = (
     "recording",
     "scenarios",
     "metrics",
+    REQUIREMENTS,
 )
 """What a problem takes from a study."""
 # What a study says of its results, which are not those of one that extends it.
@@ -47,7 +49,7 @@ def replaced(base: Table, changes: Table, *, leave_out: bool = False) -> Table:
             alternatives = _ALTERNATIVES.get(key, set())
             given, had = alternatives & value.keys(), alternatives & old.keys()
             if not (given and had and given != had):
-                both = (old | value).items()
+                both = (with_requirements(old, value) if key == REQUIREMENTS else old | value).items()
                 value = {name: entry for name, entry in both if not is_left_out(entry, old.get(name))}
         tables[key] = value
         if is_left_out(value, old):
@@ -109,8 +111,10 @@ def not_said(tables: Table, said: Table) -> Iterator[Place]:
             yield from ((key, *below) for below in not_said(value, said[key]))
 
 
-def without_panels_of(controllers: Collection[str], report: Table) -> Table:
-    """Return a report whose panels show none of these controllers."""
+def without_controllers(controllers: Collection[str], report: Table) -> Table:
+    """Return a report whose panels show none of these controllers, and of which none is the baseline."""
+    if any(name == report.get("baseline") for name in controllers):
+        report = _without(report, ("baseline",))
     panels = report.get("panels")
     if not isinstance(panels, list):
         return report
@@ -131,7 +135,7 @@ def with_report(tables: Any, controllers: Collection[str]) -> Any:
     """Return a study or a problem whose report is neither of its results nor of what is left out."""
     if not (isinstance(tables, dict) and isinstance(tables.get("report"), dict)):
         return tables
-    report = without_panels_of(controllers, _without(tables["report"], ("reproduction",)))
+    report = without_controllers(controllers, _without(tables["report"], ("reproduction",)))
     points = dict(_items(report.get("reference_points"))).values()
     is_cut = any(name in points for name in controllers)
     return tables | {"report": _without(report, ("reference_points",) if is_cut else ())}

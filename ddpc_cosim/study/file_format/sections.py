@@ -60,6 +60,7 @@ from ddpc_cosim.signals.signals import (
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class
 from ddpc_cosim.study.file_format.replacing import PROBLEMS
+from ddpc_cosim.study.file_format.requirements import RequirementsSection
 from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
 from fmu_plants.spelling import did_you_mean
 
@@ -800,6 +801,9 @@ class ReportSection(Section):
     panels: list[Panel] = setting([], doc="panels of the figures; empty: one with all controllers")
     limitations: list[str] = setting([], doc="what a reader must know to judge the results fairly")
     claims: list[ClaimSection] = setting([], doc="what the source claims, checked run by run")
+    baseline: str | None = setting(
+        None, doc="the controller that others are told against, e.g. the one in use today; none: none"
+    )
     reproduction: Reproduction | None = setting(None, doc="published results to compare with")
     reference_points: ReferencePoints | None = setting(
         None, doc="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
@@ -857,5 +861,8 @@ class Study(StudyHead):
     )
     metrics: MetricsSection = setting(
         MetricsSection(), doc="what runs are judged by besides the metrics of every study"
+    )
+    requirements: RequirementsSection | None = setting(
+        None, doc="what controllers have to be; it decides no result"
     )
     report: ReportSection = setting(ReportSection(), doc="what the report shows besides")

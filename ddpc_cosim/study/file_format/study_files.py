@@ -27,6 +27,7 @@ from ddpc_cosim.study.file_format.replacing import (
     not_said,
     replaced,
 )
+from ddpc_cosim.study.file_format.requirements import REQUIREMENTS
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.file_format.sweeps import path_of
 from fmu_plants.files import is_file
@@ -156,6 +157,8 @@ class StudyFile:
                 self.faults.append((self, (*place, STUDY), what))
                 continue
             theirs = {key: value for key, value in self._tables_of(other).items() if key in OF_PROBLEM}
+            if isinstance(asked := theirs.get(REQUIREMENTS), dict):  # its controllers are not this study's
+                theirs[REQUIREMENTS] = {key: value for key, value in asked.items() if key != CONTROLLERS}
             said = {key: value for key, value in problem.items() if key != STUDY}
             whole = replaced(theirs, said, leave_out=True)
             self.tables = self.tables | {PROBLEMS: self.tables[PROBLEMS] | {name: whole}}

@@ -35,6 +35,7 @@ from ddpc_cosim.study.verdicts.ranks import (
     profile_frame,
     ranks_frame,
 )
+from ddpc_cosim.study.verdicts.requirements import RequirementFindings, requirement_findings
 from ddpc_cosim.study.verdicts.standings import Standing, Standings, known_values, standings
 from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, compare_all
 
@@ -83,6 +84,8 @@ class Findings:
         What is to be known of scenarios besides ranks.
     knowing : Knowing or None
         What knowing the disturbances is worth, where scenarios differ in it alone.
+    requirements : RequirementFindings or None
+        Who meets what the study requires, where it requires anything.
     """
 
     standings: Standings
@@ -93,6 +96,7 @@ class Findings:
     worse_previews: tuple[WorsePreview, ...]
     remarks: tuple[Remark, ...]
     knowing: Knowing | None = None
+    requirements: RequirementFindings | None = None
 
     @property
     def is_sure(self) -> bool:
@@ -246,6 +250,7 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
         worse,
         tuple(_remarks(study, everything, worse)),
         knowing(study, ranking),
+        requirement_findings(study, everything),
     )
 
 

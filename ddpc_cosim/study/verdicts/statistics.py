@@ -117,6 +117,19 @@ class Difference(NamedTuple):
     corrected: float = math.nan
 
     @property
+    def turned(self) -> "Difference":
+        """The other controller less this one."""
+        return self._replace(
+            only_own=self.only_other,
+            only_other=self.only_own,
+            mean=0.0 - self.mean,  # and not -0
+            median=0.0 - self.median,
+            low=0.0 - self.high,
+            high=0.0 - self.low,
+            won=1.0 - self.won,
+        )
+
+    @property
     def told_apart(self) -> bool:
         """Whether the two differ by more than chance explains; mean, median and most seeds have to agree."""
         agreed = self.mean * self.median > 0 and self.won != 0.5
@@ -211,8 +224,11 @@ class Comparisons:
 
     def above(self, first: str, other: str, runs: Mapping[str, Runs], better: Better) -> Difference:
         """Return another less the first, one with failed runs too; p is corrected where they were tested."""
-        tested, difference = self.between(first, other), compare(runs[other], runs[first], better)
-        return difference._replace(corrected=tested.corrected) if tested else difference
+        if (difference := self.differences.get((other, first))) is not None:
+            return difference
+        if (difference := self.differences.get((first, other))) is not None:
+            return difference.turned
+        return compare(runs[other], runs[first], better)
 
     @property
     def too_few_seeds(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from ddpc_cosim.files.tables import Cell, Heading, Table
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_reports.against import Baselines, baselines_of
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -20,6 +21,8 @@ from ddpc_reports.shares import SHARE_NOTE, share_columns
 from ddpc_reports.tables.controllers import LIMITS, RESPONSE, meanings, metric_column
 from ddpc_reports.tables.table import Column, controller_table, interval_texts, number_cells
 
+RANK = "rank"
+"""The class of ranks in the page: beside them stand differences from a baseline."""
 _RATIOS = (1.1, 1.25, 1.5, 2.0)
 """Ratios to the best of a column at which the tint of a cell changes."""
 _MORE = ("settled_error", "overshoot", "total_variation", "solve_time_median")
@@ -56,6 +59,8 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
         What the table's name in the page begins with.
     """
     order = in_order(condition.controllers, ranking)
+    baseline = condition.results.study.report.baseline
+    baselines = baselines_of(ranking, condition.cases, order, baseline)
     ranked = replace(condition, controllers=tuple(order))
     keys = condition.headline
     ranked_columns = [column for key in keys for column in _headline_columns(ranked, ranking, key)]
@@ -67,6 +72,7 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
     ]
     columns = [
         _rank_column(ranking, order),
+        *baselines.columns(),
         *ranked_columns,
         *share_columns(ranked),
         *more,
@@ -81,7 +87,7 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
         f"Ranked by {what}" if keys and ranking.is_ranked else "Controllers",
         order,
         columns,
-        _notes(condition, ranking),
+        (*_notes(condition, ranking), *baselines.notes()),
         "ranking.csv",
         kind="ranking",
         sortable=True,
@@ -106,9 +112,11 @@ def in_order(controllers: Sequence[ControllerResults], ranking: Standings) -> li
 
 def _rank_column(ranking: Standings, order: Sequence[ControllerResults]) -> Column:
     ranks = {standing.controller: standing for standing in ranking.order}
-    of_others = Cell(MISSING if ranking.is_ranked else "")
+    of_others = Cell(MISSING if ranking.is_ranked else "", tone=RANK)
     cells = [
-        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(controller.key)) else of_others
+        Cell(rank.text, rank.rank if rank.shown else "", tone=RANK)
+        if (rank := ranks.get(controller.key))
+        else of_others
         for controller in order
     ]
     return Heading("rank"), cells
@@ -286,9 +294,10 @@ def _tone(value: float, best: float) -> str:
     return f"share-{5 - sum(ratio > limit for limit in _RATIOS)}"
 
 
-def rank_columns(ranking: Standings, order: Sequence[ControllerResults]) -> list[Column]:
-    """Return the ranks over all scenarios of a problem, and the failed runs."""
-    return [_rank_column(ranking, order), *_failed_columns(ranking, order)]
+def rank_columns(ranking: Standings, baselines: Baselines) -> list[Column]:
+    """Return the ranks over all scenarios of a problem, what differs from a baseline, and failed runs."""
+    order = baselines.order
+    return [_rank_column(ranking, order), *baselines.columns(), *_failed_columns(ranking, order)]
 
 
 def rank_notes(ranking: Standings, left_out: Mapping[str, str]) -> list[str]:

@@ -42,6 +42,16 @@ def test_two_runs_of_one_study_agree(folders: tuple[Path, Path], run_program: Ru
     assert (done.exit_code, done.stdout) == (0, "4 of 4 cases agree within max(0, 0 of the larger value)\n")
 
 
+def test_a_page_of_the_differences_is_written_and_changes_no_exit_code(folders: tuple[Path, Path]) -> None:
+    page = folders[0].parent / "d.html"
+    done = diff(*folders, "--html", page)
+    assert (done.exit_code, done.stdout.splitlines()[-1]) == (0, str(page))
+    assert "figures that controllers are ranked by are the same" in page.read_text(encoding="utf-8")
+    shutil.rmtree(next((folders[1] / "cases").glob("pid_*")))
+    assert diff(*folders, "--html", page).exit_code == 2
+    assert diff(*folders, "--html", page.parent / "nowhere.txt" / "d.html").exit_code == 2
+
+
 def test_what_differs_is_told(
     folders: tuple[Path, Path], write_study: WriteStudy, run_program: Run, tmp_path: Path
 ) -> None:

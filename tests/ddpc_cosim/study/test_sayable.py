@@ -55,6 +55,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.codec import KIND, Kinds, declared_fields
 from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.metrics import all_metrics
+from ddpc_cosim.responses import SampledSignal
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import Study as StudyTables
 from ddpc_cosim.study.problems import WholeStudy
@@ -160,6 +162,7 @@ def pendulum(**changes: Any) -> Problem:
         "summary": "It swings.",
         "source": "A book",
         "report": {"limitations": ["short"]},
+        "requirements": {"rmse.angle": {"max": 1.0}},
     }
     return Problem(**given | changes)
 
@@ -170,6 +173,7 @@ REPORT: dict[str, Any] = {
     "author": "Its author",
     "comment": "It is short.",
     "logo": "logo.svg",
+    "baseline": "pid",
     "claims": [
         {"text": "PID is best", "metric": "rmse.angle", "lowest": "mfapc"},
         {"text": "DeePC is worst", "metric": "rmse.angle", "highest": "ipid"},
@@ -320,6 +324,17 @@ PROBLEMS = {
         warm_up="7 d",
         warm_up_controller=PID(proportional=2.0),
         ranking="pareto",
+        requirements={"controllers": ["pid"], "share": 0.9}
+        | {
+            f"{name}.room_temperature" if issubclass(metric.of, SampledSignal) else name: {
+                "min": 0.0,
+                "max": 1.0,
+                "share": 0.8,
+                "unit": "K",
+                "scenarios": ["cold"],
+            }
+            for name, metric in all_metrics().items()
+        },
         scenarios={
             "cold": Scenario(
                 known={"sun": "perfect"},

@@ -14,6 +14,7 @@ from ddpc_cosim import ConfigError, StudyResults, Trace
 from ddpc_cosim.codec import Kinds, declared_fields, read, write
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.files.tables import Table
+from ddpc_cosim.study.file_format.requirements import RequirementSection, RequirementsSection
 from ddpc_cosim.study.file_format.sections import (
     ClaimSection,
     ReferencePoints,
@@ -441,6 +442,10 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
         *(("ReferencePoints", key) for key in declared_fields(ReferencePoints)),
         ("ReportSection", "claims"),  # in tests of their table
         *(("ClaimSection", key) for key in declared_fields(ClaimSection)),
+        ("ReportSection", "baseline"),  # in tests of the ranking against one
+        ("Study", "requirements"),
+        *(("RequirementsSection", key) for key in declared_fields(RequirementsSection)),
+        *(("RequirementSection", key) for key in declared_fields(RequirementSection)),
         ("Study", "variant_of"),  # in the table of the study's sweep
         ("Study", "varied"),
         ("Study", "based_on"),  # whose settings it has
@@ -524,6 +529,7 @@ def test_what_the_study_says_of_itself_is_in_the_page(
         if path[0] in TEXTS and path[-2:-1] != ("controllers",)
     }
     assert {path[1] for path in stated if path[0] == "report"} == {*declared_fields(ReportSection)} - {
+        "baseline",
         "claims",
         "reference_points",
     }

@@ -10,7 +10,7 @@ from ddpc_cosim.study.file_format.replacing import (
     extended,
     not_said,
     replaced,
-    without_panels_of,
+    without_controllers,
 )
 
 WORDS = "plant loop name title report panels controllers problems sweep seeds type settings tuned search a é"
@@ -100,4 +100,4 @@ def test_false_leaves_a_table_out_where_it_may() -> None:
 def test_panels_lose_the_controllers_that_are_left_out_whatever_else_they_name() -> None:
     report = {"panels": [{"controllers": ["a", "b", []]}, {"controllers": ["a"]}, 3, {"controllers": 3}]}
     kept = [{"controllers": ["b", []]}, 3, {"controllers": 3}]
-    assert without_panels_of({"a"}, report) == {"panels": kept}
+    assert without_controllers({"a"}, report) == {"panels": kept}

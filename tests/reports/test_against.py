@@ -1,0 +1,150 @@
+"""Requirements and baselines on the page: what is there without a script, and what the reader chooses."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.support.ui import Select
+
+from ddpc_cosim import Trace
+from ddpc_reports import write_json, write_markdown, write_report
+from ddpc_reports.requirements import overall_words
+
+from .synthetic import make_results_in, make_trace
+from .test_accessibility import AXE, FAULTS
+from .test_browser import element, open_page
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+LAGS = {"quick": 0.3, "slow": 1.0, "slower": 1.3}
+ROWS = """
+const table = document.getElementById(arguments[0] + "-table");
+const shown = (row) => [...row.cells].filter((cell) => !cell.hidden);
+return [...table.tBodies[0].rows].map((row) => shown(row).map((cell) => cell.innerText));
+"""
+HEADS = """
+const table = document.getElementById(arguments[0] + "-table");
+return [...[...table.tHead.rows].at(-1).cells].filter((cell) => !cell.hidden).map((cell) => cell.innerText);
+"""
+
+
+def trace_of(key: str, seed: int) -> Trace:
+    return make_trace(LAGS[key], noise_seed=seed)
+
+
+def make(folder: Path, scenarios: dict[str, Any], **report: str) -> Any:
+    controllers = {key: {"type": "a", "label": f"{key} one"} for key in LAGS}
+    requirements = {"rmse": {"angle": {"max": 4.0, "share": 0.8}}, "overshoot": {"angle": {"max": 50.0}}}
+    return make_results_in(
+        *(folder / "results", trace_of, controllers),
+        seeds=["0:6"],
+        scenarios=scenarios,
+        requirements=requirements,
+        report=report,
+    )
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return the addresses of reports: of one scenario with a baseline, and of two without."""
+    folder = tmp_path_factory.mktemp("against")
+    one = make(folder / "one", {"calm": {}}, baseline="slow")
+    two = make(folder / "two", {"calm": {}, "noisy": {"noise": {"angle": 0.01}}})
+    return {
+        "one": write_report([one], folder / "one.html").as_uri(),
+        "two": write_report([two], folder / "two.html").as_uri(),
+    }
+
+
+@pytest.fixture
+def browser(chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
+    yield chromium
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+def test_formats_without_a_script_have_the_study_s_baseline(tmp_path: Path) -> None:
+    results = make(tmp_path, {"calm": {}}, baseline="slow")
+    text = write_markdown([results], tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "| Controller | rank | against slow one |" in text
+    assert "(6 beyond, as far as" in text
+    html = write_report([results], tmp_path / "report.html").read_text(encoding="utf-8")
+    (head,) = [line for line in html.splitlines() if "against slow one" in line and "<th" in line]
+    assert 'scope="col"' in head
+    assert "hidden>\n<label>Against <select>" in html
+    data = write_json([results], tmp_path / "report.json").read_text(encoding="utf-8")
+    assert '"requirements":{"passed":true,"controllers":[],"met_by":["quick"]' in data
+
+
+def test_the_reader_chooses_whom_others_are_told_against(
+    browser: webdriver.Chrome, pages: dict[str, str]
+) -> None:
+    open_page(browser, pages["one"])
+    given = browser.execute_script(ROWS, "s1-ranking")
+    assert browser.execute_script(HEADS, "s1-ranking")[2] == "against slow one"
+    assert [row[2] for row in given][1] == "baseline"
+    assert given[0][2].endswith("% better")
+    assert given[0][2].startswith("\N{MINUS SIGN}")
+    choose = Select(element(browser, ".against select"))
+    choose.select_by_visible_text("quick one")
+    rows = browser.execute_script(ROWS, "s1-ranking")
+    assert browser.execute_script(HEADS, "s1-ranking")[2] == "against quick one"
+    assert rows[0][2] == "baseline"
+    assert [(row[2][:1], row[2].rpartition("\xa0")[2]) for row in rows[1:]] == [("+", "% worse")] * 2
+    assert [row[3:] for row in rows] == [row[3:] for row in given]
+    choose.select_by_index(0)
+    assert browser.execute_script(HEADS, "s1-ranking")[2] != "against"
+    choose.select_by_visible_text("slow one")
+    assert browser.execute_script(ROWS, "s1-ranking") == given
+
+
+def test_a_column_that_the_reader_asks_for_sorts_by_its_numbers(
+    browser: webdriver.Chrome, pages: dict[str, str]
+) -> None:
+    open_page(browser, pages["two"])
+    before = browser.execute_script(HEADS, "s1-matrix")
+    Select(element(browser, ".against select")).select_by_visible_text("slower one")
+    heads = browser.execute_script(HEADS, "s1-matrix")
+    assert heads == [*before[:2], "against slower one", *before[2:]]
+    button = "document.querySelectorAll('#s1-matrix-table thead th .sort')[2]"
+    for _ in range(2):  # upwards, then downwards
+        browser.execute_script(f"{button}.click()")
+    first = [row[0] for row in browser.execute_script(ROWS, "s1-matrix")]
+    assert first == ["slower one", "slow one", "quick one"]
+    assert browser.get_log("browser") == []
+
+
+@pytest.mark.parametrize("page", ["one", "two"])
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 400)])
+def test_axe_finds_nothing_to_fault(
+    browser: webdriver.Chrome, pages: dict[str, str], page: str, scheme: str, width: int
+) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
+    open_page(browser, pages[page])
+    Select(element(browser, ".against select")).select_by_visible_text("quick one")
+    browser.execute_script(AXE.read_text(encoding="utf-8"))
+    assert browser.execute_async_script(FAULTS) == []
+
+
+def test_of_several_problems_the_first_screen_says_which_pass(tmp_path: Path) -> None:
+    lower, higher = (
+        make_results_in(
+            tmp_path / name,
+            trace_of,
+            {key: {"type": "a"} for key in LAGS},
+            seeds=["0:2"],
+            name=name,
+            title=name,
+            requirements={"rmse": {"angle": {"max": most}}},
+        )
+        for name, most in (("strict", 1e-9), ("lenient", 1e9))
+    )
+    words = overall_words([lower, higher])
+    assert words is not None
+    assert "not passed in strict; passed in lenient." in words
+    assert overall_words([make_results_in(tmp_path / "none", seeds=[0])]) is None
