@@ -105,6 +105,7 @@ _LOADED = re.compile(
       | (?:@import\s|url\()\s*["']?(?:https?:)?//[^"'\s)]+""",
     re.VERBOSE | re.IGNORECASE,
 )
+_EMPTY_HEADING = re.compile(r"<th\b([^>]*)>(?:\s|</?p>)*</th>")
 _log = logging.getLogger(__name__)
 
 
@@ -115,9 +116,9 @@ def _formula(translator: HTML5Translator, node: nodes.math | nodes.math_block) -
     formula = re.sub(
         r"(?:<mo[^>]*>([.⋅])</mo>){3}", lambda dots: f"<mo>{'…⋯'['.⋅'.index(dots[1])]}</mo>", formula
     )
-    tag, further = ("div", ' tabindex="0"') if block else ("span", "")
     both = f'<span class="unseen">{formula}</span>{_drawn(formula)}'
-    translator.body.append(f'<{tag} class="math"{further}>{both}</{tag}>')
+    inline = f'<span class="math">{both}</span>&#8288;'  # a comma after it does not begin a line
+    translator.body.append(f'<div class="math" tabindex="0">{both}</div>' if block else inline)
     raise nodes.SkipNode
 
 
@@ -178,6 +179,11 @@ def _fold_navigation(_app: Sphinx, _page: str, _template: str, context: dict[str
     context["furo_navigation_tree"] = lxml.html.tostring(tree, encoding="unicode")
 
 
+def _empty_headings(_app: Sphinx, _page: str, _template: str, context: dict[str, Any], _: object) -> None:
+    """Make a cell of every heading of a table that says nothing, as above the names of rows."""
+    context["body"] = _EMPTY_HEADING.sub(r"<td\1></td>", context.get("body", ""))
+
+
 def _add_settings(_app: Sphinx, what: str, _name: str, obj: Any, _options: object, lines: list[str]) -> None:
     """Add what a class declares of its settings to its docstring, if that does not tell of them itself."""
     if what != "class" or not dataclasses.is_dataclass(obj) or "Parameters" in lines:
@@ -192,6 +198,7 @@ def setup(app: Sphinx) -> None:
     """Tell Sphinx what to do at which step, and how to write formulas."""
     app.connect("builder-inited", _run_studies)
     app.connect("doctree-resolved", _link_pictures_to_reports)
+    app.connect("html-page-context", _empty_headings)
     app.connect("html-page-context", _fold_navigation, priority=900)  # after the theme has made it
     app.connect("autodoc-process-docstring", _add_settings, priority=1)  # before numpydoc reads it
     app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
