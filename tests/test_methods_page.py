@@ -1,4 +1,4 @@
-"""docs/methods.md has an entry for every controller, and the tables of pages are those of the code."""
+"""docs/methods/ has an entry for every controller, and the tables of pages are those of the code."""
 
 import dataclasses
 import importlib.util
@@ -43,8 +43,8 @@ def generator() -> ModuleType:
 
 
 def test_the_tables_are_current(generator: ModuleType) -> None:
-    for name in generator.PAGES:
-        page = (DOCS / name).read_text(encoding="utf-8")
+    for path in generator.PAGES:
+        page = path.read_text(encoding="utf-8")
         assert generator.with_tables(page) == page, "run python docs/scripts/generate_settings.py"
 
 
@@ -100,4 +100,14 @@ def test_the_overview_of_sections_names_every_key() -> None:
 
 @pytest.mark.parametrize("name", plugin_names("controllers"))
 def test_every_controller_has_an_entry(name: str) -> None:
-    assert f"<!-- settings: {name} -->" in (DOCS / "methods.md").read_text(encoding="utf-8")
+    tables = f"<!-- settings: {name} -->"
+    pages = [path for path in (DOCS / "methods").glob("*.md") if tables in path.read_text(encoding="utf-8")]
+    assert len(pages) == 1
+    row = rf"^\| \[.+\]\({pages[0].name}\) \| .*`{name}`"
+    assert re.search(row, (DOCS / "methods" / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_index_leads_to_every_page_on_methods() -> None:
+    index = (DOCS / "methods" / "index.md").read_text(encoding="utf-8")
+    pages = {path.name for path in (DOCS / "methods").glob("*.md")} - {"index.md"}
+    assert pages <= set(re.findall(r"\]\(([\w-]+\.md)\)", index))

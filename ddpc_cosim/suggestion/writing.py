@@ -247,7 +247,7 @@ def comments(
         "bounds": ("Limits of the inputs; outputs have those that the FMU declares.",),
         "recording": (),
         "controllers": (
-            "`ddpc-cosim list controllers` shows what else can compete, `docs/methods.md` what it does.",
+            "`ddpc-cosim list controllers` shows what else can compete, `docs/methods/` what it does.",
         ),
     }
     there = "controllers" if about.unstable else "recording"  # without a recording the next section says why

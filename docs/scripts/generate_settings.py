@@ -20,7 +20,11 @@ from ddpc_cosim.codec import KIND, Kinds, declared_fields, shown, write_in_short
 from ddpc_cosim.plugins import load_plugin
 
 DOCS = Path(__file__).parents[1]
-PAGES = ("methods.md", "study-keys.md", "extend/write-a-controller-plug-in.md")
+PAGES = (
+    *sorted(DOCS.glob("methods/*.md")),
+    DOCS / "study-keys.md",
+    DOCS / "extend" / "write-a-controller-plug-in.md",
+)
 _TYPES = {bool: "true or false", int: "integer", float: "number", str: "text"}
 _TABLE = re.compile(r"(<!-- (settings|keys|parameters): (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _PARAMETER = re.compile(r"^(\S.*?) : (.*)\n((?: {4}.*\n?)+)", re.MULTILINE)
@@ -34,7 +38,7 @@ def settings_table(plugin: type[Any]) -> str:
     for name, info in declared.items():
         cells = (f"`{name}`", _default(fields[name]), info.allowed, info.meaning)
         rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
-    return "\n".join(rows) + "\n"
+    return "\n".join(rows) + "\n" if declared else "It has no settings.\n"
 
 
 def keys_table(kind: type[Any]) -> str:
@@ -124,5 +128,5 @@ def _default(field: dataclasses.Field[Any]) -> str:
 
 if __name__ == "__main__":
     for page in PAGES:
-        text = (DOCS / page).read_text(encoding="utf-8")
-        (DOCS / page).write_text(with_tables(text), encoding="utf-8", newline="\n")
+        text = page.read_text(encoding="utf-8")
+        page.write_text(with_tables(text), encoding="utf-8", newline="\n")

@@ -101,7 +101,7 @@ def test_every_stable_plant_has_a_problem_and_no_other() -> None:
 
 def test_every_reason_is_that_of_a_method() -> None:
     assert set(REASONS) < set(plugin_names("controllers"))
-    page = (Path(__file__).parents[2] / "docs" / "methods.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "methods" / "index.md").read_text(encoding="utf-8")
     assert not [name for name in REASONS if f"| `{name}` |" not in page.split("## Out of the box")[1]]
 
 
