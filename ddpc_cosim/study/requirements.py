@@ -45,7 +45,7 @@ class RequirementsCheck:
     @cached_property
     def _keys(self) -> dict[tuple[str, ...], str]:
         """Return the keys of the metrics that the runs will have, by metric and signal."""
-        references = self._study.reference
+        references = self._study.reference or {}
         keys = expected_keys(
             self._outputs.variables,
             self._inputs.variables,

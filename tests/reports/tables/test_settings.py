@@ -288,6 +288,9 @@ CONTENT: dict[str, Any] = {
     "report": {
         "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
         "limitations": ["One plant only."],
+        "author": "Its author",
+        "comment": "What its author says.",
+        "logo": "logo.svg",
         "reproduction": {
             "source": "Table 9",
             "metrics": {COST: "Absolute error"},
@@ -526,11 +529,12 @@ def test_what_the_study_says_of_itself_is_in_the_page(
     stated = {
         path: value
         for path, value in reversed([*changes(content)])
-        if path[0] in TEXTS and path[-2:-1] != ("controllers",)
+        if path[0] in TEXTS and path[-2:-1] != ("controllers",) and path[-1] != "logo"
     }
     assert {path[1] for path in stated if path[0] == "report"} == {*declared_fields(ReportSection)} - {
         "baseline",
         "claims",
+        "logo",  # whose file lies with the results
         "reference_points",
     }
     pages = {render_page([results]): "the study itself"}
