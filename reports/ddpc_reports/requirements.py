@@ -27,13 +27,22 @@ _NOTES = (
 
 
 def requirements_words(findings: RequirementFindings | None) -> Markup | None:
-    """Return the verdict, who meets all that is required and what others miss; None where nothing is."""
+    """Return the verdict, who meets all that is required and who does not; None where nothing is.
+
+    What is missed, and how often, stands in the table, but for those that have to meet it.
+    """
     if findings is None:
         return None
-    verdict, *others = findings.lines
-    said = (f"{line[:1].upper()}{line[1:]}." for line in others)
+    labels, required = findings.labels, findings.named
+    missing = [name for name in findings.controllers if name not in findings.meeting]
+    of_required = [name for name in missing if name in required]
+    said = [f"{labels[name]} misses {'; '.join(findings.missed(name))}." for name in of_required]
+    if findings.meeting:
+        said.append(f"Met by {', '.join(labels[name] for name in findings.meeting)}.")
+    if others := [labels[name] for name in missing if name not in required]:
+        said.append(f"Missed by {', '.join(others)}: the table below says what, and how often.")
     mark = MET if findings.passed else MISSED
-    return Markup("<b>{}\u00a0{}.</b> {}").format(mark, verdict, " ".join(said))
+    return Markup("<b>{}\u00a0{}.</b> {}").format(mark, findings.verdict, " ".join(said))
 
 
 def overall_words(problems: Iterable[StudyResults]) -> Markup | None:
