@@ -12,7 +12,7 @@ from ddpc_cosim.files.tables import Cell, Table
 from ddpc_cosim.files.texts import encodable, printable, without_folders
 from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_reports.comparison import labels
-from ddpc_reports.sections import StudyPart, gather
+from ddpc_reports.sections import StudyPart, gather, one_by_one
 from ddpc_reports.tidy import COLUMNS, tidy_rows
 
 SCHEMA_VERSION = 2
@@ -50,7 +50,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "source": part.source,
         "first": [_block(*block) for block in part.first],
         "sections": [
-            {"title": section.title, "blocks": [_block(*block) for block in section.blocks]}
+            {"title": section.title, "blocks": [_block(*block) for block in one_by_one(section.blocks)]}
             for section in part.sections
         ],
     }

@@ -19,7 +19,7 @@ from ddpc_reports.embedding import (
     stylesheet,
 )
 from ddpc_reports.figures.charts import COLOURS
-from ddpc_reports.sections import StudyPart, gather
+from ddpc_reports.sections import StudyPart, gather, one_by_one
 
 
 def render_page(results: Sequence[StudyResults]) -> str:
@@ -37,6 +37,7 @@ def render_page(results: Sequence[StudyResults]) -> str:
 def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "") -> str:
     """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
     library, script = chart_library(), page_script()
+    parts = _names_of_parts(studies)
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
         autoescape=True,
@@ -55,7 +56,26 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
         policy=content_policy([script, library]),
         embedded={"chart-library": deflated(library), "report-data": deflated(json_of(_data(studies, data)))},
         colours=COLOURS,
+        names=_names(studies),
+        names_of_parts=parts,
+        shown=next(iter(parts), ""),
     )
+
+
+def _names(studies: Sequence[StudyPart]) -> dict[int, str]:
+    """Return the controllers by what gives them their colours, which is the same in the whole page."""
+    return {int(entry.line.name[1:]): entry.key for study in studies for entry in study.legend}
+
+
+def _names_of_parts(studies: Sequence[StudyPart]) -> dict[str, str]:
+    """Return what the address calls the parts of which one is shown at a time; empty if there is only one."""
+    if len(studies) < 2:
+        return {}
+    names = [study.name for study in studies]
+    return {
+        study.id: study.name if names.count(study.name) == 1 else f"{study.name}-{study.number}"
+        for study in studies
+    }
 
 
 class _Script(Markup):
@@ -76,17 +96,19 @@ def _shown(value: Any) -> Any:
 
 def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> dict[str, Any]:
     """Return what the script draws from: samples once, and of each chart its specification and its names."""
-    parts = [
-        blocks
+    figures = [
+        (study.id, *content)
         for study in studies
         for blocks in (study.first, *(section.blocks for section in study.sections))
+        for kind, content in one_by_one(blocks)
+        if kind == "figure"
     ]
     views = {}
-    for figure, group in (content for blocks in parts for kind, content in blocks if kind == "figure"):
+    for part, figure, _ in figures:
         labels = {entry.name: entry.label for entry in figure.legend}
         for view in filter(lambda view: view.drawing.vega, figure.views):
             views[view.id] = {
-                "group": group,
+                "group": part,
                 "figure": figure.id,
                 "spec": view.drawing.vega,
                 "data": view.data,
@@ -99,4 +121,4 @@ def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -
                 "given": drawable(view.given),
                 "also": list(view.also_scaling),
             }
-    return {"colours": COLOURS, "data": data, "views": views}
+    return {"data": data, "views": views}
