@@ -24,8 +24,10 @@
   }
 
   // ---- data -------------------------------------------------------------------------------------------
-  async function inflated(id) {
-    const text = atob(document.getElementById(id).textContent);
+  const inflated = (id) => inflatedText(document.getElementById(id).textContent);
+
+  async function inflatedText(deflated) {
+    const text = atob(deflated);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
@@ -792,6 +794,30 @@
     });
   }
 
+  // Long tables come deflated, and are set when they come into view.
+  async function setTable(box) {
+    const made = new DOMParser().parseFromString(await inflatedText(box.dataset.content), "text/html");
+    box.replaceChildren(...made.body.children);
+    enableTables(box);
+    filter();
+  }
+
+  function watchTables() {
+    const seen = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) {
+        if (!isIntersecting) continue;
+        seen.unobserve(target);
+        setTable(target).catch(reportError);
+      }
+    });
+    all(".deferred").forEach((box) => seen.observe(box));
+  }
+
+  function enableTables(within) {
+    all(".help", within).forEach((help) => { help.hidden = false; });
+    all("table.sortable", within).forEach(enableSorting);
+  }
+
   function followContents() {
     const links = new Map([...document.querySelectorAll(".contents a")].map((link) => [link.hash.slice(1), link]));
     const seen = new IntersectionObserver((entries) => {
@@ -816,8 +842,7 @@
   }
 
   document.addEventListener("DOMContentLoaded", () => {
-    document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
-    document.querySelectorAll("table.sortable").forEach(enableSorting);
+    enableTables(document);
     document.querySelectorAll("button.theme").forEach(enableTheme);
     followContents();
     status = element("p", "unseen");
@@ -828,7 +853,7 @@
     document.querySelectorAll("[data-save]").forEach((button) => button.addEventListener("click", () => save(button.closest("figure"), button.dataset.save)));
   });
   window.addEventListener("load", () => {
-    if (lively) watchCharts();
+    if (lively) [watchCharts, watchTables].forEach((watch) => watch());
     else document.documentElement.dataset.ready = "yes";
   });
 })();
