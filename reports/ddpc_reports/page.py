@@ -20,8 +20,12 @@ from ddpc_reports.embedding import (
     stylesheet,
 )
 from ddpc_reports.figures.charts import COLOURS
-from ddpc_reports.figures.figure import Figure
+from ddpc_reports.figures.figure import Figure, View
 from ddpc_reports.sections import Block, StudyPart, gather
+
+
+_ROOM = 300_000
+"""Letters of drawings from which on those are left to the script that are not seen first."""
 
 
 def render_page(results: Sequence[StudyResults]) -> str:
@@ -106,18 +110,24 @@ def _pictures(studies: Sequence[StudyPart], shown: str) -> dict[str, Picture]:
     """Return the charts by their names: drawn where they are seen without scripts and a click, and responses.
 
     What is folded, or of a scenario or a part that is not shown first, is left to the script: drawings are
-    the most of a page. Of the others the responses are drawn, so that without scripts there is something.
+    the most of a page. Of the others responses are drawn as long as there is room, so that without scripts
+    there is something.
     """
-    pictures = {}
+    pictures = dict[str, Picture]()
+    responses, rest = list[View](), list[View]()
     for study in studies:
         is_shown = study.id == shown or not shown
         for anchor, blocks in [("", study.first), *((s.anchor, s.blocks) for s in study.sections)]:
             for is_chosen, figure in _figures_of(blocks, study.chosen):
-                is_seen = (is_shown or is_chosen) if anchor == "responses" else (is_shown and is_chosen)
-                is_drawn = is_seen and not figure.folded
-                for view in figure.views:
-                    pictures[view.id] = view.drawing.still if is_drawn else view.drawing.live
-    return pictures
+                if is_shown and is_chosen and not figure.folded:
+                    pictures |= {view.id: view.drawing.still for view in figure.views}
+                else:
+                    (responses if anchor == "responses" else rest).extend(figure.views)
+    taken = sum(len(picture.svg) for picture in pictures.values())
+    for view in responses:
+        pictures[view.id] = view.drawing.still if taken < _ROOM else view.drawing.live
+        taken += len(pictures[view.id].svg)
+    return pictures | {view.id: view.drawing.live for view in rest}
 
 
 def _figures_of(blocks: Sequence[Block], chosen: str) -> Iterator[tuple[bool, Figure]]:

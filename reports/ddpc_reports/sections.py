@@ -79,7 +79,7 @@ from ddpc_reports.verdict import Statement, across_statements, findings, limitat
 _LONGEST_TITLE = 120
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
-_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 30, 160, 100, 1000
+_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 20, 160, 100, 1000
 """Of all scenarios, controllers with figures, with responses, with tables; cases of several problems."""
 
 _MOST_LISTED = 20

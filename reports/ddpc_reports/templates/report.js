@@ -764,8 +764,10 @@
   // ---- tables, contents, theme ------------------------------------------------------------------------
   function valueOf(row, column) {
     const cell = row.cells[column];
-    const number = cell.dataset.value;
-    return number === undefined ? cell.textContent.trim() : number === "nan" ? Infinity : Number(number);
+    const text = cell.textContent.trim();
+    // Of long tables numbers are read as they are shown.
+    const number = cell.dataset.value ?? (cell.matches(".n") ? text.replace("−", "-") : undefined);
+    return number === undefined ? text : Number.isNaN(Number(number)) ? Infinity : Number(number);
   }
 
   // Below the titles of groups, if there are any, the last row of the head has a cell for each column.
