@@ -288,10 +288,11 @@ class _PageBudget(NamedTuple):
 def _chosen_first(seen: Sequence[Condition]) -> list[Condition]:
     """Return the scenarios of a problem, the one that is shown first before all others.
 
-    It is the one in which the most runs fail, and of those the one with the worst figures.
+    It is that of the study, or the one in which the most runs fail, of those the one with the worst figures.
     """
-    hardest = max(seen, key=_hardship, default=None)
-    return sorted(seen, key=lambda condition: condition is not hardest)
+    named = [condition for condition in seen if condition.scenario == condition.results.study.report.scenario]
+    first = max(named or seen, key=_hardship, default=None)
+    return sorted(seen, key=lambda condition: condition is not first)
 
 
 def _hardship(condition: Condition) -> tuple[float, float]:
