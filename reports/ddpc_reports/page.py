@@ -23,7 +23,6 @@ from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.figures.figure import Figure, View
 from ddpc_reports.sections import Block, StudyPart, gather
 
-
 _ROOM = 300_000
 """Letters of drawings from which on those are left to the script that are not seen first."""
 

@@ -75,7 +75,8 @@ def test_axe_finds_nothing_to_fault_and_nothing_to_look_at(
 def test_axe_finds_nothing_where_another_scenario_and_study_and_fewer_controllers_are_shown(
     chromium: webdriver.Chrome, page: str, several: str, scheme: str, width: int
 ) -> None:
-    assert faults(chromium, f"{page}#scenario=calm&show=quick,diverged&zoom=0.2..5.8", scheme, width) == []
+    zoom = "&zoom=0.2..5.8" if width == 400 else ""
+    assert faults(chromium, f"{page}#scenario=calm&show=quick,diverged{zoom}", scheme, width) == []
     assert faults(chromium, f"{several}#problem=second&scenario=b&show=slow", scheme, width) == []
 
 

@@ -796,7 +796,8 @@ class ReportSection(Section):
     panels: list[Panel] = setting([], doc="panels of the figures; empty: one with all controllers")
     limitations: list[str] = setting([], doc="what a reader must know to judge the results fairly")
     scenario: str = setting(
-        "", doc="the scenario that is shown first; empty: that in which the most runs fail, or errors are largest"
+        "",
+        doc="the scenario shown first; empty: that in which the most runs fail, or errors are largest",
     )
     claims: list[ClaimSection] = setting([], doc="what the source claims, checked run by run")
     reproduction: Reproduction | None = setting(None, doc="published results to compare with")
