@@ -79,9 +79,10 @@ from ddpc_reports.verdict import Statement, across_statements, findings, limitat
 _LONGEST_TITLE = 120
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
-_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 20, 160, 100, 1000
+_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 30, 160, 100, 1000
 """Of all scenarios, controllers with figures, with responses, with tables; cases of several problems."""
 
+_USUAL_SAMPLES = 500
 _MOST_LISTED = 20
 Block = tuple[str, Any]
 """A part of a section: its kind, which chooses how it is set, and what it is."""
@@ -223,7 +224,8 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
             problems = study_results.problems()
             seen = [conditions(part) for part in problems]
             by_need = [_chosen_first(of_part) for of_part in seen]
-            drawn, detailed = _first(by_need, _MOST_LINES, _MOST_DRAWN), _first(by_need, _MOST_ROWS)
+            drawn = _first(by_need, _MOST_LINES, _MOST_DRAWN, _lines)
+            detailed = _first(by_need, _MOST_ROWS)
             spread = drawn if len(problems) > 1 else detailed
             sketched = {*drawn, *_first(by_need, _MOST_SKETCHED)}
             every_case = len(problems) == 1 or len(study_results.cases) <= _MOST_CASES
@@ -304,15 +306,31 @@ def _hardship(condition: Condition) -> tuple[float, float]:
     return sum(failed) / max(len(failed), 1), median(ranks) if ranks else -math.inf
 
 
-def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | None = None) -> list[Condition]:
-    """Return the first scenarios of the problems, as many of each as there is room for their controllers.
+def _rows(condition: Condition) -> float:
+    """Return how many rows the tables of a scenario have."""
+    return len(condition.controllers)
+
+
+def _lines(condition: Condition) -> float:
+    """Return how many lines of a usual length the figures over time of a scenario have."""
+    loop = condition.results.study.loop
+    return len(condition.controllers) * max(loop.duration / loop.sampling_time / _USUAL_SAMPLES, 1.0)
+
+
+def _first(
+    problems: Sequence[Sequence[Condition]],
+    most: int,
+    places: int | None = None,
+    size: Callable[[Condition], float] = _rows,
+) -> list[Condition]:
+    """Return the first scenarios of the problems, as many of each as there is room for.
 
     The first of the only problem is always among them.
     """
     chosen: list[Condition] = []
     for of_place in islice(zip_longest(*problems), places):
         level = [condition for condition in of_place if condition]
-        full = sum(len(condition.controllers) for condition in [*chosen, *level]) > most
+        full = sum(map(size, [*chosen, *level])) > most
         if full and (chosen or len(problems) > 1):
             break
         chosen += level
