@@ -1,6 +1,8 @@
 """One scenario and one problem at a time, one legend, and the address that says what is shown."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,7 +10,9 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from ddpc_cosim import Outcome, Trace
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.study.file_format.sections import StudyHead
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports import write_report
 
 from .synthetic import make_results_in, make_trace
@@ -53,6 +57,16 @@ def several(tmp_path_factory: pytest.TempPathFactory) -> str:
         folder / "second", None, name="second", title="Second study", scenarios={"calm": {}, "other": {}}
     )
     return write_report([first, second], folder / "report.html").as_uri()
+
+
+@pytest.fixture(scope="module")
+def problems(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the address of a report of a study of two problems."""
+    folder = tmp_path_factory.mktemp("problems")
+    parts = [make_results_in(folder / name, name=name, title=name.capitalize()) for name in ("one", "two")]
+    cases = tuple(replace(case, problem=part.study.name) for part in parts for case in part.cases)
+    whole = WholeStudy(StudyHead(name="both"), {part.study.name: part.study for part in parts})
+    return write_report([StudyResults(parts[0].folder, whole, cases, {})], folder / "report.html").as_uri()
 
 
 @pytest.fixture
@@ -351,3 +365,45 @@ def test_whoever_hides_all_sees_empty_charts_and_no_error(browser: webdriver.Chr
         ),
     )
     assert browser.get_log("browser") == []
+
+
+def test_over_all_problems_comes_first_and_its_matrix_leads_to_one_of_them(
+    browser: webdriver.Chrome, problems: str
+) -> None:
+    open_page(browser, problems)
+    tabs = browser.find_elements(By.CSS_SELECTOR, "[role=tab]")
+    assert [tab.text for tab in tabs] == ["All problems", "One", "Two"]
+    assert chosen(browser) == ["all"]
+    assert not element(browser, "#s3-study").is_displayed()
+    element(browser, "#s1-matrix-table a[href='#s3-1-responses']").click()
+    wait(browser, lambda: chosen(browser) == ["two"])
+    assert element(browser, "#s3-1-responses").is_displayed()
+    assert not element(browser, "#s1-matrix-table").is_displayed()
+    browser.back()
+    wait(browser, lambda: chosen(browser) == ["all"])
+    assert element(browser, "#s1-matrix-table").is_displayed()
+
+
+def test_a_study_names_the_scenario_that_is_shown_first(browser: webdriver.Chrome, tmp_path: Path) -> None:
+    results = make_results_in(tmp_path / "r", scenarios=SCENARIOS, report={"scenario": "calm"})
+    open_page(browser, write_report([results], tmp_path / "report.html").as_uri())
+    assert chosen(browser) == ["calm"]
+    assert panels(browser) == {"calm"}
+
+
+def test_a_long_table_that_is_folded_is_set_when_it_is_opened(
+    browser: webdriver.Chrome, tmp_path: Path
+) -> None:
+    results = make_results_in(tmp_path / "r", seeds=["0:80"])
+    page = write_report([results], tmp_path / "report.html")
+    assert "s1-cases-table" not in page.read_text(encoding="utf-8")
+    open_page(browser, f"{page.as_uri()}#show=slow")
+    element(browser, "details:has(> summary #s1-cases) > summary").click()
+    table = wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#s1-cases-table"))[0]
+    script = (
+        "return [...arguments[0].tBodies[0].rows].filter((r) => !r.hidden).map((r) => r.cells[3].textContent)"
+    )
+    assert len(browser.execute_script(script, table)) == 80
+    table.find_element(By.CSS_SELECTOR, "thead th:nth-child(4) .sort").click()
+    values = [float(text) for text in browser.execute_script(script, table)]
+    assert values == sorted(values)

@@ -6,7 +6,7 @@
   // Charts are made live by a library that the page holds deflated; a browser that cannot inflate keeps the drawings.
   const lively = "DecompressionStream" in window && "IntersectionObserver" in window;
   document.documentElement.classList.add("scripted", ...(lively ? ["lively"] : []));
-  const narrow = window.matchMedia("(max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
+  const narrow = window.matchMedia("screen and (max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
   const charts = new Map(); // live charts by their boxes
   const begun = new Map(); // promises of them
   const inView = new Set(); // boxes
@@ -733,7 +733,7 @@
 
   // A zoom by wheel or fingers comes in many steps, which are one to go back by.
   function writeAddress(kind = "") {
-    if (!lines || !legendOf(partShown())) return;
+    if (!lines) return;
     const goesOn = kind && kind === lastWritten.kind && performance.now() - lastWritten.time < 1000;
     lastWritten = { kind, time: performance.now() };
     const hash = address();
@@ -811,7 +811,7 @@
         seen.unobserve(target);
         setTable(target).catch(reportError);
       }
-    });
+    }, { rootMargin: "300px 0px" });
     all(".deferred").forEach((box) => seen.observe(box));
   }
 
