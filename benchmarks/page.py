@@ -19,7 +19,7 @@ SEEDS = "0:6"
 BYTES_AT_MOST = 1_000_000
 AGAIN_AT_MOST = 0.75
 """CPU time of a report whose pictures are there, as a share of that of one that draws them."""
-LOADED_AT_MOST, SCRIPTS_AT_MOST = 0.5, 1.5
+LOADED_AT_MOST, SCRIPTS_AT_MOST = 0.3, 1.5
 """Seconds of the main thread until the page is loaded, and as a multiple of what it takes without scripts."""
 RUNS = 5
 

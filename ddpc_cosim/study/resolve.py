@@ -355,6 +355,9 @@ class _Resolution:
     @independent
     def _check_report(self) -> None:
         report = self.study.report
+        if report.scenario:
+            place = ("report", "scenario")
+            self.errors.require_known(place, "scenario", [report.scenario], self.study.scenarios)
         for i, panel in enumerate(report.panels):
             self._require_controllers(("report", "panels", i), panel, "controllers")
         for i, method in enumerate(report.reproduction.methods if report.reproduction else ()):

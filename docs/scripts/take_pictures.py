@@ -27,7 +27,6 @@ PARTS = {
         "responses": "#s1-1-responses",
         "errors": "#s1-1-errors",
         "spread": "#s1-1-spread-0",
-        "step-time": "#s1-1-step-time",
     },
 }
 _COLOURS = 256

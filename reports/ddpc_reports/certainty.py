@@ -30,11 +30,27 @@ _NOTES = (
 )
 
 
-def certainty_table(condition: Condition, prefix: str) -> Table | None:
-    """Return the medians and what sets them apart, a row per controller and metric; None for one seed."""
+def certainty_tables(condition: Condition, prefix: str) -> list[Table]:
+    """Return the medians and what sets them apart, a row per controller and metric; none for one seed.
+
+    What controllers are ranked by has a table, the other metrics one that is folded.
+    """
     if len(condition.seeds) < 2:
-        return None
-    rows = [row for key in _keys(condition) for row in _rows(condition, key)]
+        return []
+    more = [key for name in RANKED_BY for key in condition.keys(name)]
+    over = f"over {len(condition.seeds)} seeds, and what they tell apart"
+    return [
+        table
+        for table in (
+            _table(condition, condition.headline, f"Medians {over}", f"{prefix}sure"),
+            _table(condition, more, f"Medians of other metrics {over}", f"{prefix}more", " folded"),
+        )
+        if table.rows
+    ]
+
+
+def _table(condition: Condition, keys: Sequence[str], caption: str, name: str, kind: str = "") -> Table:
+    rows = [row for key in keys for row in _rows(condition, key)]
     headings = (
         Heading("Controller", numeric=False),
         Heading("runs"),
@@ -47,16 +63,8 @@ def certainty_table(condition: Condition, prefix: str) -> Table | None:
         Heading("seeds ahead", group="difference to the best"),
         Heading("group"),
     )
-    caption = f"Medians over {len(condition.seeds)} seeds, and what they tell apart"
-    name = f"{prefix}sure"
     notes = (*_NOTES, *((SHARE_NOTE,) if condition.points else ()))
-    return Table(name, caption, headings, tuple(rows), notes, kind="grouped", download="how-sure.csv")
-
-
-def _keys(condition: Condition) -> list[str]:
-    """Return the metrics by which the verdict names a first."""
-    more = [key for name in RANKED_BY for key in condition.keys(name)]
-    return [*condition.headline, *more]
+    return Table(name, caption, headings, tuple(rows), notes, kind=f"grouped{kind}", download="how-sure.csv")
 
 
 def _rows(condition: Condition, key: str) -> list[Row]:

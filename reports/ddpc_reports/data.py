@@ -13,7 +13,7 @@ from ddpc_cosim.files.texts import encodable, printable, without_folders
 from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_cosim.study.verdicts.requirements import RequirementFindings
 from ddpc_reports.comparison import labels
-from ddpc_reports.sections import StudyPart, gather
+from ddpc_reports.sections import StudyPart, gather, one_by_one
 from ddpc_reports.tidy import COLUMNS, tidy_rows
 
 SCHEMA_VERSION = 2
@@ -52,7 +52,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "source": part.source,
         "first": [_block(*block) for block in part.first if block[0] != "baseline"],
         "sections": [
-            {"title": section.title, "blocks": [_block(*block) for block in section.blocks]}
+            {"title": section.title, "blocks": [_block(*block) for block in one_by_one(section.blocks)]}
             for section in part.sections
         ],
     }

@@ -6,9 +6,9 @@ import math
 import re
 import zlib
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from hashlib import sha256
 from importlib.metadata import version
 from importlib.resources import files
@@ -25,6 +25,13 @@ from ddpc_reports.figures.drawing import DrawingError, cached_picture, rendered
 from ddpc_reports.figures.signal import Column
 
 _WIDTH = 900
+_AXIS = 42
+"""What an axis adds to the height of a chart, about [px]."""
+_LEFT_OUT = Markup(
+    '<div class="static left-out" role="img" aria-label="{}"><p class="note">A script of the page draws this '
+    "chart. The samples are in the files of the cases.</p></div>"
+)
+_NOTHING_DRAWN = Markup("")
 _MOST_DECIMALS = 300
 # Charts come compiled from Vega-Lite, so that the page needs Vega alone, a third less to load and to run; its
 # interpreter of expressions needs no eval, which the policy of the page forbids.
@@ -135,22 +142,68 @@ def _template(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Drawing:
-    """A chart as the page has it: drawn, or a sentence where it cannot be drawn, and what makes it live.
+class Picture:
+    """A chart as the page has it: drawn, or a sentence where it is not, and what makes it live.
 
     Parameters
     ----------
     svg : Markup
         What stands in the page from the start.
     height : float
-        Of the drawing, which is 900 units wide; 0 of a sentence.
+        Of the drawing; 0 of a chart that cannot be drawn.
     vega : dict
-        Vega specification without the samples; empty of a sentence.
+        Vega specification without the samples; empty of a chart that cannot be drawn.
     """
 
     svg: Markup
     height: float = 0.0
     vega: dict[str, Any] = field(default_factory=dict)
+
+
+class Drawing:
+    """A chart that is drawn when it is asked for: what no page shows costs nothing.
+
+    Parameters
+    ----------
+    svg, height, vega
+        As of :class:`Picture`, of a chart that is there.
+    make : callable, optional
+        Makes the picture otherwise; its argument says whether it is to be drawn.
+    """
+
+    def __init__(
+        self,
+        svg: Markup = _NOTHING_DRAWN,
+        height: float = 0.0,
+        vega: dict[str, Any] | None = None,
+        make: Callable[[bool], Picture] | None = None,
+    ) -> None:
+        self._make = make or (lambda is_drawn: Picture(svg, height, vega or {}))
+
+    @cached_property
+    def still(self) -> Picture:
+        """The chart, drawn."""
+        return self._make(True)
+
+    @cached_property
+    def live(self) -> Picture:
+        """The chart with a sentence in the place of its drawing, for where a script draws it."""
+        return self._make(False)
+
+    @property
+    def svg(self) -> Markup:
+        """The drawing, or a sentence where it cannot be drawn."""
+        return self.still.svg
+
+    @property
+    def height(self) -> float:
+        """Height of the drawing; 0 of a sentence."""
+        return self.still.height
+
+    @property
+    def vega(self) -> dict[str, Any]:
+        """Vega specification without the samples; empty of a sentence."""
+        return self.still.vega
 
 
 def drawing(
@@ -176,19 +229,27 @@ def drawing(
     full = {"width": _WIDTH, **drawable(spec), "autosize": autosize, "config": CONFIG}
     samples = {name: columns for name, columns in (data or {}).items() if columns}
 
-    def make() -> dict[str, Any]:
+    def draw() -> dict[str, Any]:
         vega, svg = rendered(full, {name: rows_of(columns) for name, columns in samples.items()})
         height = _BOX.search(svg)
         svg = _finish(svg, identifier, description)
         return {"svg": svg, "height": float(height[1]) if height else 0.0, "vega": vega}
 
-    key = json_of({"spec": full, "samples": samples, "of": [identifier, description]}).encode() + _SOURCE
-    try:
-        picture = cached_picture(key, make)
-    except DrawingError as error:
-        words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
-        return Drawing(Markup('<p class="static note">{}</p>').format(words))
-    return Drawing(Markup(picture["svg"]), picture["height"], picture["vega"])
+    def compile_alone() -> dict[str, Any]:
+        height = float(full.get("height", 0)) + _AXIS
+        return {"svg": _LEFT_OUT.format(description), "height": height, "vega": rendered(full, None)[0]}
+
+    def make(is_drawn: bool) -> Picture:
+        said = [identifier, description] if is_drawn else [description]
+        key = json_of({"spec": full, "samples": samples if is_drawn else None, "of": said}).encode()
+        try:
+            picture = cached_picture(key + _SOURCE, draw if is_drawn else compile_alone)
+        except DrawingError as error:
+            words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
+            return Picture(Markup('<p class="static note">{}</p>').format(words))
+        return Picture(Markup(picture["svg"]), picture["height"], picture["vega"])
+
+    return Drawing(make=make)
 
 
 def drawable(value: Any) -> Any:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.files.tables import Cell, Table
 from ddpc_cosim.files.texts import printable
-from ddpc_reports.sections import StudyPart, gather
+from ddpc_reports.sections import StudyPart, gather, one_by_one
 
 _TAG = re.compile(r"<[^>]*>")
 _MARKS = {"<b>": "**", "</b>": "**", "<i>": "*", "</i>": "*"}
@@ -53,7 +53,7 @@ def _part(part: StudyPart) -> Iterator[str]:
 
 
 def _blocks(blocks: Sequence[tuple[str, Any]]) -> Iterator[str]:
-    for kind, content in blocks:
+    for kind, content in one_by_one(blocks):
         if kind == "baseline":  # what the reader of a page chooses from
             continue
         yield ""

@@ -1,9 +1,11 @@
 """What the page shows of each study: the answer and its table first, then section by section."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import islice, zip_longest
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, ReportSection, StudyResults
 from ddpc_cosim.files.tables import Table
 from ddpc_cosim.files.texts import clipped, without_folders
+from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.findings import Findings, findings_of
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_reports.across_problems import (
@@ -26,12 +29,19 @@ from ddpc_reports.across_problems import (
 )
 from ddpc_reports.against import Baselines, baselines_of
 from ddpc_reports.answer import answer
-from ddpc_reports.certainty import certainty_table
+from ddpc_reports.certainty import certainty_tables
 from ddpc_reports.comparison import Condition, ControllerResults, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
-from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure
+from ddpc_reports.figures.figure import (
+    Entry,
+    Figure,
+    entry,
+    in_its_place,
+    spread_figures,
+    step_time_figure,
+)
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.planes import plane_figure
 from ddpc_reports.figures.trade import trade_figure
@@ -76,9 +86,37 @@ _MOST_DRAWN = 4
 _MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 30, 160, 100, 1000
 """Of all scenarios, controllers with figures, with responses, with tables; cases of several problems."""
 
+_USUAL_SAMPLES = 500
 _MOST_LISTED = 20
 Block = tuple[str, Any]
 """A part of a section: its kind, which chooses how it is set, and what it is."""
+
+
+@dataclass(frozen=True)
+class OfScenario:
+    """What a section says of one of several scenarios: the page shows one of them at a time.
+
+    Parameters
+    ----------
+    name, label : str
+        Of the scenario, in the study and for people.
+    blocks : list of Block
+        What stands below its label.
+    """
+
+    name: str
+    label: str
+    blocks: list[Block]
+
+
+def one_by_one(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield blocks, those of a scenario below its label, as formats have them that show all scenarios."""
+    for kind, content in blocks:
+        if kind == "scenario":
+            yield "condition", content.label
+            yield from content.blocks
+        else:
+            yield kind, content
 
 
 @dataclass(frozen=True)
@@ -89,6 +127,25 @@ class Section:
     title: str
     blocks: list[Block]
     folded: bool = False
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """A controller in the legend of the page.
+
+    Parameters
+    ----------
+    key : str
+        Of the controller, by which the address of the page names it.
+    line : Entry
+        How it is drawn, and its label.
+    notes : dict of str to str
+        By scenario how its first seed ended, where that was not as it should be.
+    """
+
+    key: str
+    line: Entry
+    notes: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -119,6 +176,14 @@ class StudyPart:
         What the ranking does not say.
     comment : str
         What its author says of the results.
+    name : str
+        What the address of the page calls it.
+    scenarios : dict of str to str
+        Labels of the scenarios of which one is shown at a time, by name; empty where there is only one.
+    chosen : str
+        The scenario that is shown first.
+    legend : list of LegendEntry
+        The controllers that are drawn, in the order of their ranks.
     """
 
     id: str
@@ -133,6 +198,10 @@ class StudyPart:
     source: str = ""
     remarks: list[str] = field(default_factory=list)
     comment: str = ""
+    name: str = ""
+    scenarios: dict[str, str] = field(default_factory=dict)
+    chosen: str = ""
+    legend: list[LegendEntry] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -161,9 +230,11 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
         for study_results in results:
             problems = study_results.problems()
             seen = [conditions(part) for part in problems]
-            drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
+            by_need = [_chosen_first(of_part) for of_part in seen]
+            drawn = _first(by_need, _MOST_LINES, _MOST_DRAWN, _lines)
+            detailed = _first(by_need, _MOST_ROWS)
             spread = drawn if len(problems) > 1 else detailed
-            sketched = {*drawn, *_first(seen, _MOST_SKETCHED)}
+            sketched = {*drawn, *_first(by_need, _MOST_SKETCHED)}
             every_case = len(problems) == 1 or len(study_results.cases) <= _MOST_CASES
             budget = _PageBudget(drawn, sketched, spread, detailed, every_case)
             number = len(parts) + 1
@@ -216,22 +287,57 @@ class _PageBudget(NamedTuple):
         ]
         if sentences and len(missing["figures of errors and control signals"]) == len(seen):
             sentences.append("With run --only and the name of a problem, a report has room for all of this.")
-        if seen and seen[0] not in self.detailed:
+        if seen and not any(condition in self.detailed for condition in seen):
             sentences.append("Every setting of every controller, defaults filled in, is in study.toml.")
         if not self.cases:
             sentences.append("The cases are too many for a table: see metrics.csv.")
         return sentences
 
 
-def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | None = None) -> list[Condition]:
-    """Return the first scenarios of the problems, as many of each as there is room for their controllers.
+def _chosen_first(seen: Sequence[Condition]) -> list[Condition]:
+    """Return the scenarios of a problem, the one that is shown first before all others.
+
+    It is that of the study, or the one in which the most runs fail, of those the one with the worst figures.
+    """
+    named = [condition for condition in seen if condition.scenario == condition.results.study.report.scenario]
+    first = max(named or seen, key=_hardship, default=None)
+    return sorted(seen, key=lambda condition: condition is not first)
+
+
+def _hardship(condition: Condition) -> tuple[float, float]:
+    """Return the share of failed runs, and the median of what controllers are ranked by, larger if worse."""
+    failed = [case.failed for controller in condition.contenders for case in controller.cases]
+    ranks = [
+        metric_of(key).rank(value) for key in condition.headline[:1] for value, _ in condition.ranking(key)
+    ]
+    return sum(failed) / max(len(failed), 1), median(ranks) if ranks else -math.inf
+
+
+def _rows(condition: Condition) -> float:
+    """Return how many rows the tables of a scenario have."""
+    return len(condition.controllers)
+
+
+def _lines(condition: Condition) -> float:
+    """Return how many lines of a usual length the figures over time of a scenario have."""
+    loop = condition.results.study.loop
+    return len(condition.controllers) * max(loop.duration / loop.sampling_time / _USUAL_SAMPLES, 1.0)
+
+
+def _first(
+    problems: Sequence[Sequence[Condition]],
+    most: int,
+    places: int | None = None,
+    size: Callable[[Condition], float] = _rows,
+) -> list[Condition]:
+    """Return the first scenarios of the problems, as many of each as there is room for.
 
     The first of the only problem is always among them.
     """
     chosen: list[Condition] = []
     for of_place in islice(zip_longest(*problems), places):
         level = [condition for condition in of_place if condition]
-        full = sum(len(condition.controllers) for condition in [*chosen, *level]) > most
+        full = sum(map(size, [*chosen, *level])) > most
         if full and (chosen or len(problems) > 1):
             break
         chosen += level
@@ -249,6 +355,7 @@ def _overall_part(
     prefix, head = f"s{number}-", results.whole.head
     comparison = in_its_place("Ranks", lambda: overall(problems))
     answered, first, sections = Markup(""), list[Block](), list[Section]()
+    rows = _rows_over_problems(comparison if isinstance(comparison, Overall) else None, seen)
     if isinstance(comparison, Overall):
         places = [
             place
@@ -256,7 +363,7 @@ def _overall_part(
             for place in _places(part, of_part, f"s{i}-", budget)
         ]
         answered = overall_answer(comparison)
-        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(comparison, places, prefix)))
+        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(comparison, places, rows, prefix)))
         what = "Performance profile and critical differences"
         blocks = partial(_overall_blocks, comparison, prefix)
         sections = [Section("problems", what, _in_their_place(what, blocks))]
@@ -273,7 +380,17 @@ def _overall_part(
         "All problems" if number == 1 else f"{clipped(head.title or head.name, _LONGEST_TITLE)}: all problems"
     )
     return StudyPart(
-        prefix, number, title, [], facts, answered, first, sections, summary=head.summary.strip()
+        prefix,
+        number,
+        title,
+        [],
+        facts,
+        answered,
+        first,
+        sections,
+        head.summary.strip(),
+        name="all" if number == 1 else f"{head.name}-all",
+        legend=[LegendEntry(row.key, entry(row, of_first=False), {}) for row in rows],
     )
 
 
@@ -286,10 +403,24 @@ def _overall_blocks(comparison: Overall, prefix: str) -> list[Block]:
     ]
 
 
-def _overall_matrix(comparison: Overall, places: Sequence[Place], prefix: str) -> Table:
-    members = {controller.key: controller for place in places for controller in place.condition.controllers}
-    order = [*comparison.controllers, *(key for key in members if key not in comparison.controllers)]
-    rows = [members[key] for key in order if key in members]
+def _rows_over_problems(
+    comparison: Overall | None, seen: Sequence[Sequence[Condition]]
+) -> list[ControllerResults]:
+    """Return the controllers of all problems, first those that are ranked over all, in that order."""
+    members = {
+        controller.key: controller
+        for of_part in seen
+        for condition in of_part
+        for controller in condition.controllers
+    }
+    ranked = comparison.controllers if comparison else ()
+    order = [*ranked, *(key for key in members if key not in ranked)]
+    return [members[key] for key in order if key in members]
+
+
+def _overall_matrix(
+    comparison: Overall, places: Sequence[Place], rows: Sequence[ControllerResults], prefix: str
+) -> Table:
     return matrix_table(places, rows, first_columns(comparison, rows), [RANKS_NOTE], prefix)
 
 
@@ -345,8 +476,9 @@ class _Part:
             if condition not in shown:
                 continue
             if blocks := _in_their_place(what, partial(blocks_of, condition, f"{self.prefix}{place}-")):
-                collected += [("condition", condition.label)] if len(self.seen) > 1 else []
-                collected += blocks
+                several = len(self.seen) > 1
+                part = OfScenario(condition.scenario, condition.label, blocks)
+                collected += [("scenario", part)] if several else blocks
         return collected
 
     def over_time(self, kind: Kind, condition: Condition, place: str) -> list[Block]:
@@ -466,6 +598,21 @@ class _Part:
         ]
         return [section for section in made if section.blocks]
 
+    def legend(self) -> list[LegendEntry]:
+        """Return the controllers in the order of their ranks, and where the first run of each failed."""
+        by_key: dict[str, ControllerResults] = {}
+        notes: dict[str, dict[str, str]] = {}
+        for condition in self.seen:
+            for controller in condition.controllers:
+                by_key.setdefault(controller.key, controller)
+                if note := entry(controller).note:
+                    notes.setdefault(controller.key, {})[condition.scenario] = note
+        order = in_order([*by_key.values()], self.standings)
+        return [
+            LegendEntry(controller.key, entry(controller, of_first=False), notes.get(controller.key, {}))
+            for controller in order
+        ]
+
     def _how_to_reproduce(self) -> list[Block]:
         """Return what was run; of one of several problems that stands with what is said over all of them."""
         return _tables(*reproduce_tables(self.results, self.prefix)) if self.alone else []
@@ -484,10 +631,11 @@ class _Part:
 
     def _spread(self, condition: Condition, prefix: str) -> list[Block]:
         said = [*share_statements(condition), *findings(condition, "distribution")]
+        figures = spread_figures(condition, prefix) if condition in self.budget.spread else []
         return [
-            *_figures(spread_figures(condition, prefix) if condition in self.budget.spread else [], prefix),
+            *_figures([*figures[:1], *(replace(figure, folded=True) for figure in figures[1:])], prefix),
             *_statements(said),
-            *_tables(certainty_table(condition, prefix)),
+            *_tables(*certainty_tables(condition, prefix)),
         ]
 
     def _planes(self, condition: Condition, prefix: str) -> list[Block]:
@@ -496,11 +644,11 @@ class _Part:
     def _step_times(self, condition: Condition, prefix: str) -> list[Block]:
         if not condition.controllers:
             return []
-        drawn = condition in self.budget.spread
+        figure = step_time_figure(condition, prefix) if condition in self.budget.spread else None
         return [
             *_statements(findings(condition, "time")),
             *_tables(step_time_table(condition, prefix)),
-            *_figures([step_time_figure(condition, prefix)] if drawn else [], prefix),
+            *_figures([figure and replace(figure, folded=True)], prefix),
         ]
 
     def _reproduction(self) -> list[Block]:
@@ -529,7 +677,8 @@ class _Part:
 
     def _settings(self) -> list[Block]:
         first = self.seen[0] if self.seen else None
-        families = family_tables(first, self.prefix) if first and first in self.budget.detailed else []
+        detailed = [condition for condition in self.seen if condition in self.budget.detailed]
+        families = family_tables(detailed[0], self.prefix) if detailed else []
         reproduction = self.results.study.report.reproduction if first else None
         return [
             *_tables(*settings_tables(self.results, first, self.prefix)),
@@ -541,7 +690,7 @@ class _Part:
         return _tables(cases_table(self.results, self.seen, self.prefix) if self.budget.cases else None)
 
 
-_FOLDED = ("settings", "cases")
+_FOLDED = ("data", "settings", "cases", "provenance")
 _LAST = "Fairness and known limitations"
 """The title before which sections of third parties stand that do not say where."""
 
@@ -560,6 +709,8 @@ def _study_part(
     part = _Part(results, seen, prefix, data, budget, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.findings))
     remarks = part.findings.remarks
+    legend = in_its_place("Legend", part.legend)
+    several = {condition.scenario: condition.label for condition in seen} if len(seen) > 1 else {}
     return StudyPart(
         prefix,
         number,
@@ -572,7 +723,11 @@ def _study_part(
         results.study.summary.strip(),
         results.study.source,
         [remark.text for remark in remarks if not remark.is_failure],
-        results.study.report.comment.strip(),
+        comment=results.study.report.comment.strip(),
+        name=results.study.name,
+        scenarios=several,
+        chosen=_chosen_first(seen)[0].scenario if several else "",
+        legend=[] if isinstance(legend, str) else legend,
     )
 
 

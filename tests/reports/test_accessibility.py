@@ -52,20 +52,46 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_report([results], folder / "report.html").as_uri()
 
 
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the address of a report of two studies, of which one is shown at a time."""
+    folder = tmp_path_factory.mktemp("several")
+    studies = [
+        make_results_in(folder / name, None, name=name, title=f"{name} study", scenarios={"a": {}, "b": {}})
+        for name in ("first", "second")
+    ]
+    return write_report(studies, folder / "report.html").as_uri()
+
+
 @pytest.mark.parametrize("width", [400, 1280])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_to_fault_and_nothing_to_look_at(
     chromium: webdriver.Chrome, page: str, scheme: str, width: int
 ) -> None:
+    assert faults(chromium, page, scheme, width) == []
+
+
+@pytest.mark.parametrize(("scheme", "width"), [("light", 400), ("dark", 1280)])
+def test_axe_finds_nothing_where_another_scenario_and_study_and_fewer_controllers_are_shown(
+    chromium: webdriver.Chrome, page: str, several: str, scheme: str, width: int
+) -> None:
+    zoom = "&zoom=0.2..5.8" if width == 400 else ""
+    assert faults(chromium, f"{page}#scenario=calm&show=quick,diverged{zoom}", scheme, width) == []
+    assert faults(chromium, f"{several}#problem=second&scenario=b&show=slow", scheme, width) == []
+
+
+def faults(chromium: webdriver.Chrome, page: str, scheme: str, width: int) -> list[str]:
+    """Return what axe-core faults or cannot judge, with all that is folded open."""
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     features = [{"name": "prefers-color-scheme", "value": scheme}]
     chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
     try:
         open_page(chromium, page)
-        make_live(chromium, ".chart")
+        make_live(chromium, ".scenario:not([hidden], .problem[hidden] *) .chart")
         chromium.execute_script(AXE.read_text(encoding="utf-8"))
-        assert chromium.execute_async_script(FAULTS) == []
+        found: list[str] = chromium.execute_async_script(FAULTS)
+        return found
     finally:
         chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})

@@ -10,7 +10,7 @@ from scipy.stats import bootstrap, permutation_test
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.files.tables import Row, Table
-from ddpc_reports.certainty import certainty_table
+from ddpc_reports.certainty import certainty_tables
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.page import render_page
@@ -40,9 +40,7 @@ def values(results: StudyResults, key: str) -> np.ndarray:
 
 
 def table_of(results: StudyResults) -> Table:
-    table = certainty_table(conditions(results)[0], "")
-    assert table
-    return table
+    return certainty_tables(conditions(results)[0], "")[0]
 
 
 def rows(table: Table, group: str = GROUP) -> dict[str, Row]:
@@ -97,7 +95,7 @@ def test_who_is_told_apart_from_all_others_is_said_to_be(make_results: MakeResul
 def test_one_seed_says_nothing_of_how_sure_it_is(make_results: MakeResults) -> None:
     results = make_results(trace_of, THREE)
     condition = conditions(results)[0]
-    assert certainty_table(condition, "") is None
+    assert certainty_tables(condition, "") == []
     assert "How sure" not in render_page([results])
 
 

@@ -800,6 +800,10 @@ class ReportSection(Section):
 
     panels: list[Panel] = setting([], doc="panels of the figures; empty: one with all controllers")
     limitations: list[str] = setting([], doc="what a reader must know to judge the results fairly")
+    scenario: str = setting(
+        "",
+        doc="the scenario shown first; empty: that in which the most runs fail, or errors are largest",
+    )
     claims: list[ClaimSection] = setting([], doc="what the source claims, checked run by run")
     baseline: str | None = setting(
         None, doc="the controller that others are told against, e.g. the one in use today; none: none"

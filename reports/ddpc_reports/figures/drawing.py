@@ -34,10 +34,12 @@ for line in sys.stdin.buffer:
     try:
         spec, samples = json.loads(line)
         vega = vl_convert.vegalite_to_vega(spec)
-        sets = vega["data"]
-        rows = [{"values": samples[entry["name"]]} if entry["name"] in samples else {} for entry in sets]
-        data = [entry | more for entry, more in zip(sets, rows)]
-        answer = {"vega": vega, "svg": vl_convert.vega_to_svg(vega | {"data": data})}
+        answer = {"vega": vega}
+        if samples is not None:
+            sets = vega["data"]
+            rows = [{"values": samples[entry["name"]]} if entry["name"] in samples else {} for entry in sets]
+            data = [entry | more for entry, more in zip(sets, rows)]
+            answer["svg"] = vl_convert.vega_to_svg(vega | {"data": data})
     except Exception as error:
         answer = {"error": str(error)}
     answers.write(json.dumps(answer).encode() + b"\\n")
@@ -125,15 +127,15 @@ class _Painter:
 _painter = _Painter()
 
 
-def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict[str, Any], str]:
+def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]] | None) -> tuple[dict[str, Any], str]:
     """Return a Vega-Lite specification as one of Vega, without the samples, and its picture as SVG.
 
     Parameters
     ----------
     spec : dict
         Vega-Lite specification.
-    samples : mapping of str to list of dict
-        The rows of the data sets that it names.
+    samples : mapping of str to list of dict, optional
+        The rows of the data sets that it names; None: no picture is drawn.
 
     Raises
     ------
@@ -144,7 +146,7 @@ def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[d
     """
     line = _painter.draw(json.dumps([spec, samples], allow_nan=False).encode() + b"\n")
     answer = json.loads(line)
-    return answer["vega"], answer["svg"]
+    return answer["vega"], answer.get("svg", "")
 
 
 def cached_picture(key: bytes, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:

@@ -1,17 +1,19 @@
 "use strict";
-// What the page adds when scripts run: charts that answer pointer, fingers and keys, legends that hide controllers,
-// figures saved as files, tables that sort, a theme switch. Without it the page shows the same figures as drawings.
+// What the page adds when scripts run: one problem and scenario at a time, a legend that hides controllers, all of it in
+// the address; charts that answer pointer, fingers and keys, figures saved as files, tables that sort, a theme switch.
+// Without it the page shows the same figures as drawings, and scenarios folded.
 (function () {
   // Charts are made live by a library that the page holds deflated; a browser that cannot inflate keeps the drawings.
   const lively = "DecompressionStream" in window && "IntersectionObserver" in window;
   document.documentElement.classList.add("scripted", ...(lively ? ["lively"] : []));
-  const narrow = window.matchMedia("(max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
+  const narrow = window.matchMedia("screen and (max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
   const charts = new Map(); // live charts by their boxes
   const begun = new Map(); // promises of them
   const inView = new Set(); // boxes
-  const hidden = new Set(); // names of the controllers that the reader hid, on the whole page
-  const spans = {}; // the time shown, by group of figures
+  const hidden = new Set(); // lines of the controllers that the reader hid, on the whole page
+  const spans = {}; // the time shown, by part of the page
   const columns = {}; // samples by data set, once they are drawn
+  const COLOURS = Number(document.documentElement.dataset.colours);
   let page, library, working, status;
 
   function element(tag, className, text) {
@@ -22,8 +24,10 @@
   }
 
   // ---- data -------------------------------------------------------------------------------------------
-  async function inflated(id) {
-    const text = atob(document.getElementById(id).textContent);
+  const inflated = (id) => inflatedText(document.getElementById(id).textContent);
+
+  async function inflatedText(deflated) {
+    const text = atob(deflated);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
@@ -81,6 +85,7 @@
   const visible = (names) => names.filter((name) => !hidden.has(name));
   const inFigure = (chart) => [...charts.values()].filter((other) => other.figure === chart.figure);
   const announce = (text) => { status.textContent = text; };
+  const all = (selector, within = document) => [...within.querySelectorAll(selector)];
 
   function tell(some, values) {
     for (const { view, signals } of some) {
@@ -100,7 +105,7 @@
     const units = narrow.matches ? chart.box.clientWidth : chart.width;
     if (units !== chart.units) chart.view.width((chart.units = units));
     const state = { hidden: [...hidden] };
-    if (chart.times) Object.assign(state, { span: spans[chart.group] || null, extent: extent(chart) });
+    if (chart.times) Object.assign(state, { span: spanOf(chart), extent: extent(chart) });
     if (!state.extent) delete state.extent;
     if (chart.reset) chart.reset.hidden = !state.span;
     tell([chart], state);
@@ -114,12 +119,19 @@
     if (asked && !(asked[1] - asked[0] >= least)) return;
     spans[chart.group] = asked;
     update();
+    writeAddress("zoom");
     announce(asked ? `${moment(chart, asked[0])} to ${moment(chart, asked[1])}` : "the whole time");
+  }
+
+  // The time shown; one that an address names may lie outside of what there is.
+  function spanOf(chart) {
+    const span = spans[chart.group];
+    return span && span[0] < chart.times[chart.times.length - 1] && span[1] > chart.times[0] ? span : null;
   }
 
   // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
   function extent(chart) {
-    const span = spans[chart.group];
+    const span = spanOf(chart);
     const whole = chart.spec.signals.find((one) => one.name === "extent").value;
     if (chart.fixed && !span) return whole;
     const trusted = visible(chart.scaled);
@@ -146,7 +158,7 @@
   }
 
   function zoomAbout(chart, time, factor) {
-    const [first, last] = spans[chart.group] || [chart.times[0], chart.times[chart.times.length - 1]];
+    const [first, last] = spanOf(chart) || [chart.times[0], chart.times[chart.times.length - 1]];
     zoom(chart, [time - (time - first) * factor, time + (last - time) * factor]);
   }
 
@@ -174,7 +186,7 @@
   }
 
   function colour(name) {
-    return "var(--c" + (Number(name.slice(1)) % page.colours) + ")";
+    return "var(--c" + (Number(name.slice(1)) % COLOURS) + ")";
   }
 
   function line(note, paint, label, value) {
@@ -422,7 +434,7 @@
     const ground = drawn("rect", { width: "100%", height: "100%", fill: "#fff" });
     all.append(drawn("title", {}, caption), ground);
     let [x, y] = [MARGIN, MARGIN];
-    for (const entry of figure.querySelectorAll(".legend .entry:not([aria-pressed=false])")) {
+    for (const entry of figure.querySelectorAll(".legend li:not([hidden]) .entry")) {
       const text = entry.textContent.trim();
       const room = 34 + pen.measureText(text).width + 22;
       if (x > MARGIN && x + room > width) [x, y] = [MARGIN, y + 20];
@@ -490,28 +502,272 @@
     announce(`Saved as ${link.download}`);
   }
 
-  // ---- legends, tables, contents, theme ---------------------------------------------------------------
-  function enableLegend(entry) {
-    const button = element("button", "entry");
-    button.type = "button";
-    Object.assign(button.dataset, entry.dataset);
-    button.setAttribute("aria-pressed", "true");
-    button.append(...entry.childNodes);
-    entry.replaceWith(button);
-    button.addEventListener("click", () => {
-      const { name } = button.dataset;
-      if (!hidden.delete(name)) hidden.add(name);
-      for (const twin of document.querySelectorAll("button.entry")) {
-        if (twin.dataset.name === name) twin.setAttribute("aria-pressed", String(!hidden.has(name)));
-      }
-      update();
-    });
+  // ---- one problem and scenario at a time, and whose lines and rows are shown ------------------------------
+  const FIRST = "initial"; // what is shown unless the address says otherwise
+  const chosen = {}; // problem and scenario, by name
+  const tabsOf = (list) => all("[role=tab]", list);
+  const lists = () => all("[role=tablist]");
+  const buttons = () => all("button.entry");
+  let lines; // of all controllers by their keys
+
+  // The tab of a list that is chosen, or the first choice where the list does not have what is chosen.
+  function tabOf(list) {
+    const tabs = tabsOf(list);
+    return tabs.find((tab) => tab.dataset.name === chosen[list.dataset.switch]) || tabs.find((tab) => FIRST in tab.dataset);
   }
 
+  const problems = () => document.querySelector("[data-switch=problem]");
+  // What a part of the page is called within it, in order: the parts of problems, or the only one.
+  function partShown() {
+    const tab = problems() && tabOf(problems());
+    return tab ? tab.dataset.panel : (all("article.study.has-legend").map((article) => article.id)[0] || "").replace(/part$/, "");
+  }
+
+  const legendOf = (part) => document.querySelector(`.shown [data-part="${part}"]`);
+
+  function show() {
+    const part = partShown();
+    for (const list of lists()) {
+      const current = tabOf(list);
+      for (const tab of tabsOf(list)) {
+        tab.setAttribute("aria-selected", String(tab === current));
+        tab.tabIndex = tab === current ? 0 : -1;
+      }
+      const { name } = current.dataset;
+      const within = list.closest("[data-part]");
+      const panels = within ? all(`#${within.dataset.part}part .scenario`) : all(".problem");
+      for (const panel of panels) {
+        const isShown = within ? panel.dataset.scenario === name : panel.dataset.part === current.dataset.panel;
+        panel.hidden = !isShown;
+        panel.firstElementChild.open = isShown;
+      }
+      if (!within) all("[data-part]:not(.problem)").forEach((group) => { group.hidden = group.dataset.part !== part; });
+      else all("[data-scenario]", within).forEach((note) => { note.hidden = note.dataset.scenario !== name; });
+    }
+    for (const section of new Set(all("section > .scenario").map((panel) => panel.parentElement))) {
+      const isEmpty = all(":scope > .scenario", section).every((panel) => panel.hidden);
+      section.classList.toggle("has-nothing", isEmpty);
+    }
+    filter();
+    sayShown(part);
+    update();
+  }
+
+  // Rows, entries of legends and lines of drawings go with what is hidden; live charts follow by themselves.
+  function filter() {
+    const keys = new Set(Object.keys(lines).filter((key) => hidden.has(lines[key])));
+    for (const button of buttons()) button.setAttribute("aria-pressed", String(!keys.has(button.dataset.controller)));
+    for (const entry of all("tr[data-controller], .legend li[data-controller]")) entry.hidden = keys.has(entry.dataset.controller);
+    for (const body of all("tbody > .group").map((row) => row.parentElement)) {
+      body.hidden = all("tr:not(.group)", body).every((row) => row.hidden);
+    }
+    paint("shown-lines", [...hidden].map((line) => `.chart[data-lines~="${line}"] .static ${inColour(line)} { display: none; }`));
+  }
+
+  const inColour = (line) => `:is([stroke="${colour(line)}"], [fill="${colour(line)}"])`;
+
+  // Whatever is not of this controller is faint, in figures and tables, while its entry is pointed at or has the focus.
+  function light(button) {
+    const line = button && button.dataset.name;
+    const drawn = ':is([stroke^="var(--c"], [fill^="var(--c"])';
+    paint("lit-lines", line ? [
+      `.chart:is(:not([data-lines]), [data-lines~="${line}"]) svg ${drawn}:not(${inColour(line)}), ` +
+      `.chart[data-lines]:not([data-lines~="${line}"]) svg ${drawn} { opacity: 0.15; }`,
+    ] : []);
+    for (const row of all("tr[data-controller]")) row.classList.toggle("lit", Boolean(button) && row.dataset.controller === button.dataset.controller);
+  }
+
+  function paint(id, rules) {
+    const style = document.getElementById(id) || document.head.appendChild(Object.assign(element("style"), { id }));
+    style.textContent = rules.join("\n");
+  }
+
+  function sayShown(part) {
+    const group = legendOf(part);
+    if (!group) return;
+    const entries = all("button.entry", group);
+    const count = entries.filter((entry) => !hidden.has(entry.dataset.name)).length;
+    const named = [...(problems() ? [problems()] : []), ...all("[role=tablist]", group)].map((list) => tabOf(list).textContent.trim());
+    const words = [...named, `${count} of ${entries.length} controllers`].join(" \u00b7 ");
+    document.querySelector(".shown-words").textContent = words;
+    for (const button of all("[data-first]", group)) {
+      const shown = first(group, button.dataset.first);
+      button.setAttribute("aria-pressed", String(entries.every((entry) => shown.includes(entry) !== hidden.has(entry.dataset.name))));
+    }
+  }
+
+  // The first controllers of a legend, which has them in the order of their ranks.
+  const first = (group, count) => all("button.entry", group).slice(0, count === "all" ? Infinity : Number(count));
+
+  function choose(tab) {
+    chosen[tab.parentElement.dataset.switch] = tab.dataset.name;
+    show();
+    writeAddress();
+    announce(tab.textContent.trim());
+  }
+
+  function onTabKey(list, event) {
+    const tabs = tabsOf(list);
+    const at = tabs.indexOf(document.activeElement);
+    const last = tabs.length - 1;
+    const before = at ? at - 1 : last;
+    const after = at < last ? at + 1 : 0;
+    const places = { ArrowLeft: before, ArrowUp: before, ArrowRight: after, ArrowDown: after, Home: 0, End: last };
+    if (at < 0 || !(event.key in places) || event.ctrlKey || event.altKey || event.metaKey) return;
+    event.preventDefault();
+    tabs[places[event.key]].focus();
+    choose(tabs[places[event.key]]);
+  }
+
+  function choosing(hide) {
+    hide();
+    show();
+    writeAddress();
+    announce(document.querySelector(".shown-words").textContent);
+  }
+
+  // Panels get their roles here: without scripts they are folded sections.
+  function enablePanels(list) {
+    const within = list.closest("[data-part]");
+    const part = within ? within.dataset.part : "";
+    tabsOf(list).forEach((tab, number) => {
+      tab.id = `${part}${list.dataset.switch}-tab-${number}`;
+      if (tab.getAttribute("aria-selected") === "true") tab.dataset[FIRST] = "";
+      const { name } = tab.dataset;
+      const panels = within ? all(`#${part}part .scenario`).filter((panel) => panel.dataset.scenario === name) : [document.querySelector(`.problem[data-part="${tab.dataset.panel}"]`)];
+      panels.forEach((panel, place) => {
+        panel.id = `${tab.id}-panel-${place}`;
+        panel.setAttribute("role", "tabpanel");
+        panel.setAttribute("aria-labelledby", tab.id);
+      });
+      if (panels.length) tab.setAttribute("aria-controls", panels.map((panel) => panel.id).join(" "));
+      tab.addEventListener("click", () => choose(tab));
+    });
+    list.addEventListener("keydown", (event) => onTabKey(list, event));
+  }
+
+  function enableShown() {
+    const box = document.querySelector(".shown > details");
+    lines = Object.fromEntries(buttons().map((button) => [button.dataset.controller, button.dataset.name]));
+    if (!box) return;
+    const wide = window.matchMedia("(min-width: 1001px)"); // as in the style: beside the page there is room for it
+    const unfold = () => { box.open = wide.matches; };
+    wide.addEventListener("change", unfold);
+    unfold();
+    document.documentElement.classList.add("switched");
+    lists().forEach(enablePanels);
+    all(".scenario > details > summary, .problem > details > summary").forEach((summary) => { summary.tabIndex = -1; });
+    for (const button of buttons()) {
+      const line = button.dataset.name;
+      button.addEventListener("click", () => choosing(() => { if (!hidden.delete(line)) hidden.add(line); }));
+      button.addEventListener("pointerenter", (event) => { if (event.pointerType === "mouse") light(button); });
+      button.addEventListener("focus", () => { if (button.matches(":focus-visible")) light(button); });
+      for (const kind of ["pointerleave", "blur"]) button.addEventListener(kind, () => light(null));
+    }
+    for (const button of all("[data-first]")) {
+      button.addEventListener("click", () => choosing(() => {
+        const shown = first(button.closest("[data-part]"), button.dataset.first).map((entry) => entry.dataset.name);
+        hidden.clear();
+        if (button.dataset.first !== "all") Object.values(lines).filter((line) => !shown.includes(line)).forEach((line) => hidden.add(line));
+      }));
+    }
+    readAddress();
+    window.addEventListener("popstate", onAddress);
+    if (anchorOf(location.hash)) reveal(anchorOf(location.hash));
+    remember("replaceState", location.hash || "#");
+  }
+
+  // ---- the address: where in the page, and what of it is shown ---------------------------------------------
+  const OURS = { ours: true }; // of entries of the history that say all of it
+  const NUMBER = "(-?\\d+(?:\\.\\d+)?(?:e[-+]?\\d+)?)";
+  const SPAN = new RegExp(`^${NUMBER}\\.\\.${NUMBER}$`);
+  let lastWritten = { kind: "", time: 0 };
+
+  const termsOf = (hash) => hash.replace(/^#/, "").split("&").filter(Boolean);
+  const anchorOf = (hash) => termsOf(hash).find((term) => !term.includes("="));
+
+  function decoded(text) {
+    try {
+      return decodeURIComponent(text);
+    } catch {
+      return ""; // half of an escape, where a mail broke the line
+    }
+  }
+
+  // Show what the address says; what it says of things that this page does not have counts for nothing.
+  function readAddress() {
+    const said = Object.fromEntries(termsOf(location.hash).filter((term) => term.includes("=")).map((term) => [term.slice(0, term.indexOf("=")), term.slice(term.indexOf("=") + 1)]));
+    for (const kind of ["problem", "scenario"]) chosen[kind] = kind in said ? decoded(said[kind]) : undefined;
+    const keys = "show" in said ? said.show.split(",").map(decoded).filter((key) => key in lines) : [];
+    hidden.clear();
+    if (keys.length || said.show === "") Object.keys(lines).filter((key) => !keys.includes(key)).forEach((key) => hidden.add(lines[key]));
+    const ends = SPAN.exec(said.zoom || "");
+    const span = ends && [Number(ends[1]), Number(ends[2])];
+    for (const part of Object.keys(spans)) delete spans[part];
+    if (span && span[0] < span[1]) spans[partShown()] = span;
+    show();
+  }
+
+  function address(anchor) {
+    const terms = anchor ? [anchor] : [];
+    const add = (name, text) => terms.push(`${name}=${text}`);
+    const part = partShown();
+    const group = legendOf(part);
+    for (const list of [problems(), group && group.querySelector("[data-switch=scenario]")].filter(Boolean)) {
+      if (!(FIRST in tabOf(list).dataset)) add(list.dataset.switch, encodeURIComponent(tabOf(list).dataset.name));
+    }
+    const keys = Object.keys(lines);
+    if (hidden.size) add("show", keys.filter((key) => !hidden.has(lines[key])).map(encodeURIComponent).join(","));
+    if (spans[part]) add("zoom", spans[part].map((end) => Number(end.toPrecision(6))).join(".."));
+    return `#${terms.join("&")}`;
+  }
+
+  // Where a page lies in a frame that may not have a history, it does without.
+  function remember(method, hash) {
+    try {
+      history[method](OURS, "", hash === "#" ? location.href.split("#")[0] : hash);
+    } catch {
+      // The page shows it all the same.
+    }
+  }
+
+  // A zoom by wheel or fingers comes in many steps, which are one to go back by.
+  function writeAddress(kind = "") {
+    if (!lines) return;
+    const goesOn = kind && kind === lastWritten.kind && performance.now() - lastWritten.time < 1000;
+    lastWritten = { kind, time: performance.now() };
+    const hash = address();
+    if (hash !== (location.hash || "#")) remember(goesOn ? "replaceState" : "pushState", hash);
+  }
+
+  // By a link within the page only the place changes; an address that was gone back to, or typed, says all of it.
+  function onAddress(event) {
+    const anchor = anchorOf(location.hash);
+    if (event.state || termsOf(location.hash).length > Boolean(anchor)) readAddress();
+    if (anchor && !event.state) {
+      reveal(anchor);
+      remember("replaceState", address(anchor));
+    }
+  }
+
+  // Show the problem and the scenario that a place belongs to, and go there.
+  function reveal(anchor) {
+    const target = document.getElementById(decoded(anchor));
+    if (!target) return;
+    const [scenario, problem] = [target.closest(".scenario"), target.closest(".problem")];
+    if (problem) chosen.problem = all("[data-switch=problem] [role=tab]").find((tab) => tab.dataset.panel === problem.dataset.part).dataset.name;
+    if (scenario) chosen.scenario = scenario.dataset.scenario;
+    if (scenario || problem) show();
+    target.scrollIntoView();
+  }
+
+  // ---- tables, contents, theme ------------------------------------------------------------------------
   function valueOf(row, column) {
     const cell = row.cells[column];
-    const number = cell.dataset.value;
-    return number === undefined ? cell.textContent.trim() : number === "nan" ? Infinity : Number(number);
+    const text = cell.textContent.trim();
+    // Of long tables numbers are read as they are shown.
+    const number = cell.dataset.value ?? (cell.matches(".n") ? text.replace("−", "-") : undefined);
+    return number === undefined ? text : Number.isNaN(Number(number)) ? Infinity : Number(number);
   }
 
   // Below the titles of groups, if there are any, the last row of the head has a cell for each column.
@@ -540,6 +796,30 @@
     });
   }
 
+  // Long tables come deflated, and are set when they come into view.
+  async function setTable(box) {
+    const made = new DOMParser().parseFromString(await inflatedText(box.dataset.content), "text/html");
+    box.replaceChildren(...made.body.children);
+    enableTables(box);
+    filter();
+  }
+
+  function watchTables() {
+    const seen = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) {
+        if (!isIntersecting) continue;
+        seen.unobserve(target);
+        setTable(target).catch(reportError);
+      }
+    }, { rootMargin: "300px 0px" });
+    all(".deferred").forEach((box) => seen.observe(box));
+  }
+
+  function enableTables(within) {
+    all(".help", within).forEach((help) => { help.hidden = false; });
+    all("table.sortable", within).forEach(enableSorting);
+  }
+
   function followContents() {
     const links = new Map([...document.querySelectorAll(".contents a")].map((link) => [link.hash.slice(1), link]));
     const seen = new IntersectionObserver((entries) => {
@@ -564,19 +844,18 @@
   }
 
   document.addEventListener("DOMContentLoaded", () => {
-    document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
-    document.querySelectorAll("table.sortable").forEach(enableSorting);
+    enableTables(document);
     document.querySelectorAll("button.theme").forEach(enableTheme);
     followContents();
-    if (!lively) return;
     status = element("p", "unseen");
     status.setAttribute("role", "status");
     document.body.append(status);
-    document.querySelectorAll(".entry[data-name]").forEach(enableLegend);
+    enableShown();
+    if (!lively) return;
     document.querySelectorAll("[data-save]").forEach((button) => button.addEventListener("click", () => save(button.closest("figure"), button.dataset.save)));
   });
   window.addEventListener("load", () => {
-    if (lively) watchCharts();
+    if (lively) [watchCharts, watchTables].forEach((watch) => watch());
     else document.documentElement.dataset.ready = "yes";
   });
 })();

@@ -93,6 +93,8 @@ type = "deepc"
 [scenarios.s]
 noise = { angle = -1.0, speed = 1.0 }
 events = [{ time = "x", parameters = { mass = 2.0 } }, { time = 1.0, parameters = { gravity = 3.0 } }]
+[report]
+scenario = "t"
 [[report.panels]]
 titel = "x"
 controllers = ["z", "b"]
@@ -126,6 +128,7 @@ scenarios.s.noise.angle: must be greater than or equal to 0, got -1.0
 scenarios.s.noise: no measurement "speed"; there are: angle
 scenarios.s.events[0].time: must be a number of seconds, or a duration such as "15 min"
 scenarios.s.events[1].parameters: no tunable parameter "gravity"; there are: damping, mass
+report.scenario: no scenario "t"; there are: s
 report.panels[0].titel: unknown key; did you mean "title"?
 report.panels[0].controllers: no controller "z"; there are:
 """
