@@ -18,7 +18,7 @@ from ddpc_reports.embedding import (
     page_script,
     stylesheet,
 )
-from ddpc_reports.figures.charts import COLOURS
+from ddpc_reports.figures.charts import COLOURS, DASHES
 from ddpc_reports.sections import StudyPart, gather
 
 
@@ -55,6 +55,7 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
         policy=content_policy([script, library]),
         embedded={"chart-library": deflated(library), "report-data": deflated(json_of(_data(studies, data)))},
         colours=COLOURS,
+        patterns=len(DASHES),
     )
 
 

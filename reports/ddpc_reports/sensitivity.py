@@ -198,7 +198,7 @@ def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | 
     )
     index = (base or [best])[0].index
     title = " / ".join(filter(None, (metric_words(key), metric_unit(key))))
-    return Row(group[0].label, cells, group[0].base, index, title)
+    return Row(group[0].label, cells, group[0].base, index, title, controller=group[0].label)
 
 
 def _edges(sweep: Sweep, best: ControllerResults, base: Sequence[ControllerResults]) -> Iterator[str]:

@@ -11,11 +11,12 @@ from markupsafe import Markup
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.plugins import write_atomically
-from ddpc_reports.embedding import drawing, pack, stylesheet
+from ddpc_reports.embedding import brought_to_life, pack, stylesheet
 from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
 from ddpc_reports.figures.signal import Column, Signal, rounded, times
+from ddpc_reports.figures.still import still
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
@@ -26,9 +27,8 @@ _LINE = "c0"
 _COLOUR = re.compile(r"var\((--[\w-]+)\)")
 _LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
 _LEAST_WIDTH = 300.0
-_BOX = re.compile(r'viewBox="0 0 ([\d.]+) ([\d.]+)"')
 _TITLE_HEIGHT, _MARGIN = 34.0, 12.0
-_HEIGHT = 200
+_WIDTH, _HEIGHT = 900, 200
 
 
 def simulation_page(simulation: Simulation) -> str:
@@ -63,25 +63,16 @@ def simulation_page(simulation: Simulation) -> str:
 
 
 def simulation_drawing(simulation: Simulation) -> str:
-    """Return the figures below each other as one drawing, in the colours of the light page.
-
-    Raises
-    ------
-    OSError
-        They cannot be drawn.
-    """
+    """Return the figures below each other as one drawing, in the colours of the light page."""
     colours = dict(_LIGHT.findall(stylesheet()))
     title = simulation.plant if simulation.completed else f"{simulation.plant} ({simulation.outcome})"
     parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
     signals = _signals(simulation)
     for signal in signals:
-        svg = str(_view(simulation, signal, WIDE).drawing.svg)
-        box = _BOX.search(svg)
-        if box is None:  # the words that stand in the page for a drawing that failed
-            raise OSError(f"{signal.title} cannot be drawn")
-        wide, high = float(box[1]), float(box[2])
+        svg, high = still(signal, [_LINE], (), (_WIDTH, _HEIGHT), signal.title)
+        wide = float(_WIDTH)
         place = f'<svg x="{_MARGIN:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
-        parts.append(svg.replace("<svg", place, 1))
+        parts.append(str(svg).replace("<svg", place, 1))
         width, height = max(width, wide + 2 * _MARGIN), height + high + _MARGIN
     drawn = _COLOUR.sub(lambda match: colours.get(match[1], "none"), "".join(parts))
     ink = colours.get("--ink", "black")
@@ -140,7 +131,7 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
 def _view(simulation: Simulation, signal: Signal, width: int) -> View:
     spec = time_chart(signal, [_LINE], simulation.sampling_time, size=(width, _HEIGHT))
     description = f"{signal.title} over time"
-    picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
+    picture = brought_to_life(*still(signal, [_LINE], (), (width, _HEIGHT), description), spec)
     place = f"simulation-{signal.id}"
     time = signal.clock.unit
     return View(place, "", description, spec, picture, signal.id, (_LINE,), signal.unit, (_LINE,), time=time)

@@ -34,10 +34,11 @@ for line in sys.stdin.buffer:
     try:
         spec, samples = json.loads(line)
         vega = vl_convert.vegalite_to_vega(spec)
-        sets = vega["data"]
-        rows = [{"values": samples[entry["name"]]} if entry["name"] in samples else {} for entry in sets]
+        sets, known = vega["data"], samples or {}
+        rows = [{"values": known[entry["name"]]} if entry["name"] in known else {} for entry in sets]
         data = [entry | more for entry, more in zip(sets, rows)]
-        answer = {"vega": vega, "svg": vl_convert.vega_to_svg(vega | {"data": data})}
+        svg = "" if samples is None else vl_convert.vega_to_svg(vega | {"data": data})
+        answer = {"vega": vega, "svg": svg}
     except Exception as error:
         answer = {"error": str(error)}
     answers.write(json.dumps(answer).encode() + b"\\n")
@@ -125,7 +126,7 @@ class _Painter:
 _painter = _Painter()
 
 
-def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict[str, Any], str]:
+def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]] | None) -> tuple[dict[str, Any], str]:
     """Return a Vega-Lite specification as one of Vega, without the samples, and its picture as SVG.
 
     Parameters
@@ -133,7 +134,7 @@ def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[d
     spec : dict
         Vega-Lite specification.
     samples : mapping of str to list of dict
-        The rows of the data sets that it names.
+        The rows of the data sets that it names; None: there is no picture.
 
     Raises
     ------

@@ -426,7 +426,7 @@
       const text = entry.textContent.trim();
       const room = 34 + pen.measureText(text).width + 22;
       if (x > MARGIN && x + room > width) [x, y] = [MARGIN, y + 20];
-      const swatch = entry.querySelector("line").cloneNode();
+      const swatch = entry.querySelector("line, path").cloneNode();
       swatch.setAttribute("stroke-width", 2);
       const group = drawn("g", { transform: `translate(${x},${y})` });
       group.append(swatch, drawn("text", { x: 34, y: 8, ...style }, text));

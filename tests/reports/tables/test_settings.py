@@ -512,8 +512,8 @@ def test_what_the_study_says_of_itself_is_in_the_page(
 ) -> None:
     # Drawing takes most of the time, and what is drawn does not follow from these texts.
     monkeypatch.setattr(over_time, "time_chart", lambda *given: {"mark": "point"})
-    for module in (figure, over_time):
-        monkeypatch.setattr(module, "drawing", lambda *given: Drawing(Markup("")))
+    monkeypatch.setattr(figure, "drawing", lambda *given: Drawing(Markup("")))
+    monkeypatch.setattr(over_time, "brought_to_life", lambda *given: Drawing(Markup("")))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)
     content = write(results.study)
