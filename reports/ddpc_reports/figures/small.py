@@ -29,7 +29,7 @@ from ddpc_reports.figures.svg import (
     text,
     ticks,
 )
-from ddpc_reports.numbers import significant, with_unit
+from ddpc_reports.numbers import as_given, significant, with_unit
 
 MOST_IN_PANEL = 6
 """Lines that one panel can show: of more controllers each has a small one too."""
@@ -112,7 +112,7 @@ def _axes(signal: Signal, frame: Frame, title: str) -> list[str]:
         y = frame.top + frame.down(value)
         grid.append((left, y, right, y))
         words.append(text(label, left - 3, y + 3.5, "end"))
-    first, last = (significant(time, 3) for time in signal.end)
+    first, last = (as_given(float(f"{time:.3g}")) for time in signal.end)
     words += [text(first, left, bottom), text(f"{last}\u202f{signal.clock.unit}", right, bottom, "end")]
     if title:
         words.append(text(title, (left + right) / 2, bottom, "middle"))
