@@ -52,7 +52,6 @@ _NOISE = re.compile(
     r' (?:(?:opacity|stroke-width)="1"|[xy]2="0"|transform="translate\(0,0\)"|font-weight="normal")|'
     rf"{FONT}|{_FAMILY}"
 )
-_CIRCLE = re.compile(r'<path( transform="[^"]*")? d="M([\d.]+),0A[^"]*"')
 _NOTHING = re.compile(r'<path d="M0,0h0v0h0Z"/>|<path d="[^"]*" display="none"/>')
 
 
@@ -256,7 +255,6 @@ def _finish(svg: str, identifier: str, description: str) -> str:
     What has a name as a whole is inert inside: checkers of contrast cannot tell what a part lies on.
     """
     svg = _NOTHING.sub("", _NOISE.sub("", _TRANSFORM.sub(_rounded, svg)))
-    svg = _CIRCLE.sub(r'<circle\1 r="\2"', svg)
     svg = _number_ids(_PATH.sub(_short_path, svg), identifier)
     size = re.search(r' width="[\d.]+" height="[\d.]+"', svg)
     head = f' class="static" role="img" aria-label="{html.escape(description)}"{FONT}'

@@ -30,7 +30,6 @@ from ddpc_reports.figures.time_charts import LABELS_FROM, MARK_ROW, NARROW, Labe
 from ddpc_reports.numbers import as_given
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = LABEL_ROOM + 5.0, 6.0, 22.0, 20.0
-_WIDEST = 900.0
 _LETTER = 5.6
 """Width of a letter of a mark's label, about [px]."""
 _FEWEST_LETTERS = 3
@@ -59,7 +58,7 @@ def still(
     labels, marks = label_rows(marks, signal.end, size[0])
     rows = max((placed.row + 1 for placed in labels), default=0)
     top = _TOP + (13.0 + MARK_ROW * (rows - 1) if rows else 0.0)
-    width = min(_WIDEST, float(size[0]))
+    width = float(size[0])
     frame = Frame(width - _LEFT - _RIGHT, float(size[1]), signal.end, signal.extent(names), _LEFT, top)
     lines = [
         *_wanted_band(signal, frame),
