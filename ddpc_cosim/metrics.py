@@ -489,7 +489,7 @@ METRICS: dict[str, _Any] = {
     "rise_time": Metric(
         Response,
         "Rise time",
-        "median time from the last sample within 10 % of a step to the first at 90 %; NaN if one is missing",
+        "median time after a step until the output is first at 90 % of it; NaN if one is not reached",
         _rise_time,
         "s",
         if_held=True,

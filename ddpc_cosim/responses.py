@@ -20,7 +20,7 @@ from fmu_plants.units import display_unit
 
 _SETTLED_FRACTION = 0.2
 _SETTLING_BAND = 0.05
-_RISE = (0.1, 0.9)
+_RISEN = 0.9
 _FEWEST_SAMPLES = 5
 _CONSTANT_ROWS = 3
 """Fewest rows of a stretch of constant reference; shorter ones belong to a moving reference."""
@@ -416,13 +416,9 @@ class Stretch:
 
     @property
     def rise_samples(self) -> float:
-        """Samples from the last one within 10 % of the step, before it is at 90 %, to the first there."""
-        path = self._path(max(self.first - self.response.preview, 0))
-        there = np.flatnonzero(path >= _RISE[1])
-        if not there.size:
-            return math.nan
-        before = np.flatnonzero(path[: there[0]] <= _RISE[0])
-        return float(there[0] - before[-1]) if before.size else math.nan
+        """Samples from the step until the output is first at 90 % of it, as those of the settling time."""
+        there = np.flatnonzero(self._path(self.first) >= _RISEN)
+        return float(there[0]) if there.size else math.nan
 
     @property
     def settling_samples(self) -> float:

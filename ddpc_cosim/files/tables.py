@@ -81,6 +81,8 @@ class Cell:
         What is told to who points at it.
     detail, failures : str
         A second and a third line in small print; the last in red, behind a mark.
+    drawing : str
+        Of the page alone, a picture below the text: SVG.
     """
 
     text: str
@@ -93,6 +95,7 @@ class Cell:
     title: str = ""
     detail: str = ""
     failures: str = ""
+    drawing: str = ""
 
     @property
     def value(self) -> Raw:
@@ -102,13 +105,30 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One row: its header, the controller whose colour it carries, and its cells."""
+    """One row.
+
+    Parameters
+    ----------
+    header : str
+        What it is of.
+    cells : tuple of Cell
+        The others.
+    key : str
+        The controller that it is of, by its name in the study.
+    colour : int, optional
+        Number of that controller, from which it has colour and dashes.
+    group : str
+        Title above this row and its neighbours of the same group.
+    drawing : str
+        Of the page alone, a picture of the row: SVG.
+    """
 
     header: str
     cells: tuple[Cell, ...]
     key: str = ""
     colour: int | None = None
     group: str = ""
+    drawing: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,6 +143,8 @@ class Table:
     sortable: bool = False
     kind: str = ""
     download: str = field(default="")
+    drawn: str = ""
+    """Of the page alone, the title of a column with the pictures of the rows."""
 
     @property
     def head(self) -> list[tuple[str, list[Heading]]]:

@@ -15,7 +15,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
-from ddpc_reports.tables.table import interval_texts, number_cells
+from ddpc_reports.tables.table import controller_row, interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, p_words
 
 _SAME = "the same on every seed"
@@ -68,13 +68,10 @@ def _table(condition: Condition, keys: Sequence[str], caption: str, name: str, k
 
 
 def _rows(condition: Condition, key: str) -> list[Row]:
-    """Return a row per controller: those that are ranked first, the best first, then the others."""
-    compared = condition.compared(key)
-    order = [condition.by_key[name] for name in compared.order]
-    # Reference points are the last.
-    order += [controller for controller in condition.controllers if controller not in order]
+    """Return a row per controller, in the order of the ranking."""
+    compared, order = condition.compared(key), condition.controllers
     samples = [describe(controller.runs(key)) for controller in order]
-    best = order[0] if compared.order else None
+    best = condition.by_key[compared.order[0]] if compared.order else None
     differences = [_to_best(condition, key, controller, best) for controller in order]
     letters = {} if compared.too_few_seeds else compared.letters
     unit = metric_unit(key)
@@ -91,7 +88,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
     ]
     group = " / ".join(filter(None, (metric_words(key, condition.every_key), unit)))
     return [
-        Row(controller.label, tuple(column[i] for column in cells), controller.key, controller.index, group)
+        controller_row(controller, tuple(column[i] for column in cells), group)
         for i, controller in enumerate(order)
     ]
 

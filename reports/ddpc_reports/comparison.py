@@ -15,7 +15,7 @@ from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.verdicts.findings import ScenarioFindings
 from ddpc_cosim.study.verdicts.judgement import all_failed
 from ddpc_cosim.study.verdicts.shares import describe_shares, end_of, marked, shares_of
-from ddpc_cosim.study.verdicts.standings import Standings, counted, summed
+from ddpc_cosim.study.verdicts.standings import Standings, counted, standings, summed
 from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, Sample
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
@@ -255,17 +255,32 @@ class Condition:
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
-    """Return one condition for each scenario that has cases, in the study's order."""
+    """Return one condition for each scenario that has cases, in the study's order.
+
+    In all of them the controllers stand in the order of the ranking over all scenarios, reference points
+    last.
+    """
     scenarios = dict.fromkeys(case.scenario for case in results.cases)
     return tuple(_condition(results, scenario) for scenario in scenarios)
+
+
+def ranked_keys(results: StudyResults) -> dict[str, int]:
+    """Return the places of the controllers in the ranking over all scenarios of a problem, from 0."""
+    return {s.controller: place for place, s in enumerate(standings(results.study, results.cases).order)}
+
+
+def in_ranked_order(results: StudyResults, keys: Iterable[str]) -> list[str]:
+    """Return controllers as they are ranked, the variants of sweeps behind theirs, reference points last."""
+    bases, places = _bases(results), ranked_keys(results)
+    return sorted(keys, key=lambda key: places.get(bases.get(key) or key, math.inf))
 
 
 def _condition(results: StudyResults, scenario: str) -> Condition:
     everyone = _controllers_in(results, scenario)
     varied = {key for key, section in results.study.controllers.items() if section.variant_of}
-    # Reference points stand below those that compete.
+    place = {key: i for i, key in enumerate(in_ranked_order(results, [c.key for c in everyone]))}
     unvaried = (controller for controller in everyone if controller.key not in varied)
-    controllers = sorted(unvaried, key=lambda controller: controller.is_point)
+    controllers = sorted(unvaried, key=lambda controller: place[controller.key])
     variants = tuple(controller for controller in everyone if controller.key in varied)
     cases = [case for controller in controllers for case in controller.cases]
     findings = ScenarioFindings(results.study, cases)

@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.plugins import cached
-from ddpc_reports.figures.charts import CONFIG
+from ddpc_reports.figures.charts import CONFIG, DASHES
 from ddpc_reports.figures.drawing import DrawingError, cached_picture, rendered
 from ddpc_reports.figures.signal import Column
 
@@ -45,23 +45,36 @@ _PATH = re.compile(r' d="([^"]*)"')
 _LINES = re.compile(r"(?:[ML]-?[\d.]+(?:e-?\d+)?,-?[\d.]+(?:e-?\d+)?)+Z?")
 _UNSEEN = 3
 """Tenths of a pixel by which the line of a drawing may pass by its points."""
-_Point = tuple[int, int]
+Point = tuple[int, int]
+"""In parts of a pixel: tenths in drawings of Vega."""
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _SOURCE = (files("ddpc_reports") / "embedding.py").read_bytes()
 _BOX = re.compile(r' viewBox="0 0 [\d.]+ ([\d.]+)"')
 _TRANSFORM = re.compile(r' transform="[^"]*"')
-_FONT = f' font-family="{CONFIG["font"]}" font-size="{CONFIG["axis"]["labelFontSize"]}px"'
+_FAMILY = f' font-family="{CONFIG["font"]}"'
+FONT = f'{_FAMILY} font-size="{CONFIG["axis"]["labelFontSize"]}px"'
 _NOISE = re.compile(
     r' (?:aria-[a-z]+|role|pointer-events|class|xmlns:xlink|version|stroke-miterlimit)="[^"]*"|'
-    r' (?:(?:opacity|stroke-width)="1"|[xy]2="0"|transform="translate\(0,0\)")|' + _FONT
+    r' (?:(?:opacity|stroke-width)="1"|[xy]2="0"|transform="translate\(0,0\)"|font-weight="normal")|'
+    rf"{FONT}|{_FAMILY}"
 )
 _NOTHING = re.compile(r'<path d="M0,0h0v0h0Z"/>|<path d="[^"]*" display="none"/>')
 
 
 def stylesheet() -> str:
-    """Return the style of the page."""
-    return _template("style.css")
+    """Return the style of the page; the patterns of dashes are those of the charts."""
+    return f"{_template('style.css')}\n{''.join(map(_dashed, range(1, len(DASHES))))}"
+
+
+def _dashed(number: int) -> str:
+    """Return the style of a key with dashes, of which the next ones begin where these end."""
+    stops, end = list[str](), 0.0
+    for place, length in enumerate(DASHES[number]):
+        colour = "#0000" if place % 2 else "var(--key)"
+        stops.append(f"{colour} {end:g}px {end + length:g}px")
+        end += length
+    return f".dashed-{number} {{ background: repeating-linear-gradient(90deg, {', '.join(stops)}); }}\n"
 
 
 def page_script() -> str:
@@ -225,8 +238,7 @@ def drawing(
     data : mapping of str to columns, optional
         The data sets by name.
     """
-    autosize = {"type": "fit-x", "contains": "padding"}
-    full = {"width": _WIDTH, **drawable(spec), "autosize": autosize, "config": CONFIG}
+    full = _full(spec)
     samples = {name: columns for name, columns in (data or {}).items() if columns}
 
     def draw() -> dict[str, Any]:
@@ -248,6 +260,41 @@ def drawing(
             words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
             return Picture(Markup('<p class="static note">{}</p>').format(words))
         return Picture(Markup(picture["svg"]), picture["height"], picture["vega"])
+
+    return Drawing(make=make)
+
+
+def _full(spec: Mapping[str, Any]) -> dict[str, Any]:
+    autosize = {"type": "fit-x", "contains": "padding"}
+    return {"width": _WIDTH, **drawable(spec), "autosize": autosize, "config": CONFIG}
+
+
+def brought_to_life(
+    draw: Callable[[], tuple[Markup, float]], spec: Mapping[str, Any], description: str
+) -> Drawing:
+    """Return a picture that is drawn here, with what makes it answer a pointer, or why it does not.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns the picture, as SVG, and its height, in its own units.
+    spec : mapping
+        Vega-Lite specification of the same.
+    description : str
+        What it shows, for those who do not see it.
+    """
+    full = _full(spec)
+
+    def make(is_drawn: bool) -> Picture:
+        height = float(full.get("height", 0)) + _AXIS
+        picture, height = draw() if is_drawn else (Markup(_LEFT_OUT.format(description)), height)
+        try:
+            vega = cached_picture(json_of(full).encode(), lambda: {"vega": rendered(full, None)[0]})["vega"]
+        except DrawingError as error:
+            words = f"This picture does not answer a pointer: {error}."
+            picture = picture if is_drawn else draw()[0]
+            return Picture(picture + Markup('<p class="note">{}</p>').format(words))
+        return Picture(picture, height, vega)
 
     return Drawing(make=make)
 
@@ -276,7 +323,7 @@ def _finish(svg: str, identifier: str, description: str) -> str:
     svg = _NOTHING.sub("", _NOISE.sub("", _TRANSFORM.sub(_rounded, svg)))
     svg = _number_ids(_PATH.sub(_short_path, svg), identifier)
     size = re.search(r' width="[\d.]+" height="[\d.]+"', svg)
-    head = f' class="static" role="img" aria-label="{html.escape(description)}"{_FONT}'
+    head = f' class="static" role="img" aria-label="{html.escape(description)}"{FONT}'
     return svg.replace(size[0], head, 1).replace("<g", '<g inert=""', 1) if size else svg
 
 
@@ -290,17 +337,17 @@ def _short_path(path: re.Match[str]) -> str:
         return _rounded(path)
     pieces = [_points(piece) for piece in path[1].removesuffix("Z").split("M") if piece]
     end = "Z" if path[1].endswith("Z") else ""
-    return f' d="{"".join(_steps(_simplified(piece)) for piece in pieces)}{end}"'
+    return f' d="{"".join(_steps(simplified(piece, _UNSEEN)) for piece in pieces)}{end}"'
 
 
-def _points(piece: str) -> list[_Point]:
+def _points(piece: str) -> list[Point]:
     """Read ``x,yLx,yL...`` as points in tenths of a pixel."""
     corners = (corner.partition(",") for corner in piece.split("L"))
     return [(round(10 * float(x)), round(10 * float(y))) for x, _, y in corners]
 
 
-def _simplified(points: Sequence[_Point]) -> list[_Point]:
-    """Return as few of the points as have no other one farther than can be seen above or below their line.
+def simplified(points: Sequence[Point], unseen: float) -> list[Point]:
+    """Return as few of the points as have no other one farther than is seen above or below their line.
 
     Along a line that runs in one direction of x, the next corner may be chosen as long as its slope, seen
     from the last one, is among those that pass close enough to all points between.
@@ -316,12 +363,12 @@ def _simplified(points: Sequence[_Point]) -> list[_Point]:
             lowest, highest, dx, dy = -math.inf, math.inf, x - before[0], y - before[1]
         ahead = (dx > 0) - (dx < 0)
         if dx:
-            ends = sorted(((dy - _UNSEEN) / dx, (dy + _UNSEEN) / dx))
+            ends = sorted(((dy - unseen) / dx, (dy + unseen) / dx))
             lowest, highest = max(lowest, ends[0]), min(highest, ends[1])
     return [*kept, points[-1]] if len(points) > 1 else kept
 
 
-def _steps(points: Sequence[_Point]) -> str:
+def _steps(points: Sequence[Point]) -> str:
     """Write points as a start and the steps from it, those that go straight on in one."""
     moves = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
     merged: list[tuple[int, int]] = []

@@ -15,7 +15,7 @@ _PUNCTUATION_SPACE = "\u2008"
 _NARROW_SPACE = "\u202f"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-3
-_MOST_DIGITS = 7
+_MOST_DIGITS, _MOST_DECIMALS = 7, 6
 
 _UNIT_SYMBOLS = {"deg": "°", "degC": "°C", "Ohm": "Ω", "us": "µs", "1": "", "percent": "%"}
 
@@ -168,24 +168,28 @@ def duration(seconds: float) -> str:
 
 
 def column(values: Sequence[float], digits: int = 4) -> list[str]:
-    """Write a column of numbers with the same decimals, padded with decimal points in line.
+    """Write a column of numbers with one number of decimals, their points in line.
 
-    The typical value gets ``digits`` significant digits. A value left with too few gets two.
+    The typical value gets ``digits`` significant digits, and the least two where that takes no more than two
+    decimals more; the largest has seven digits at most. Only what would read 0 and is not, and what takes
+    more than six digits before the point, is written with a power of ten.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value != 0]
     if all(size.is_integer() for size in sizes):
         return align([_in_column(value, 0) for value in values])
-    decimals = min(max(digits - 1 - _exponent(median(sizes)), 0), 6)
+    typical, least = digits - 1 - _exponent(median(sizes)), 1 - _exponent(min(sizes))
+    largest = max((size for size in sizes if size < _LARGEST_PLAIN), default=1.0)
+    room = _MOST_DIGITS - 1 - max(_exponent(largest), 0)
+    wanted = least if typical < least <= typical + 2 else typical
+    decimals = min(max(wanted, 0), room, _MOST_DECIMALS)
     return align([_in_column(value, decimals) for value in values])
 
 
 def _in_column(value: float, decimals: int) -> str:
-    too_long = abs(value) >= 10.0 ** (_MOST_DIGITS - decimals)  # more digits than anyone can mean
-    if not math.isfinite(value) or value == 0 or abs(value) >= _LARGEST_PLAIN or too_long:
+    if not math.isfinite(value) or abs(value) >= _LARGEST_PLAIN:
         return significant(value)
-    # One digit alone says too little of a small value, unless it is all that the column shows.
-    enough = 10.0 ** (1 - decimals) if decimals > 1 else 10.0**-decimals
-    return fixed(value, decimals) if abs(value) >= enough else significant(value, 2)
+    is_lost = value != 0 and not float(f"{value:.{decimals}f}")
+    return _scientific(float(f"{value:.1e}"), 2) if is_lost else fixed(value, decimals)
 
 
 def align(numbers: Sequence[str]) -> list[str]:

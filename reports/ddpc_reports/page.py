@@ -19,7 +19,7 @@ from ddpc_reports.embedding import (
     page_script,
     stylesheet,
 )
-from ddpc_reports.figures.charts import COLOURS
+from ddpc_reports.figures.charts import COLOURS, DASHES
 from ddpc_reports.figures.figure import Figure, View
 from ddpc_reports.sections import Block, StudyPart, gather
 
@@ -74,6 +74,7 @@ def set_page(
         lively=[name for name, picture in pictures.items() if picture.vega],
         names_of_parts=parts,
         shown=next(iter(parts), ""),
+        patterns=len(DASHES),
     )
 
 

@@ -12,14 +12,15 @@ from ddpc_cosim.files.tables import Table
 from ddpc_cosim.files.texts import clipped, printable
 from ddpc_cosim.plugins import did_you_mean
 from ddpc_reports.comparison import Condition, conditions, on_one_page
-from ddpc_reports.embedding import drawing, rows_of, stylesheet
+from ddpc_reports.embedding import rows_of, stylesheet
 from ddpc_reports.figures.charts import Spec, colour, dash
 from ddpc_reports.figures.clock import clock_for
 from ddpc_reports.figures.figure import Figure, spread_figure, spread_figures, step_time_figure
 from ddpc_reports.figures.outside import disturbances_of, prices_of
 from ddpc_reports.figures.over_time import time_figures
 from ddpc_reports.figures.samples import levels
-from ddpc_reports.figures.signal import BAND, Column, Signal
+from ddpc_reports.figures.signal import BAND, Column
+from ddpc_reports.figures.still import still
 from ddpc_reports.figures.time_charts import WIDE, time_chart
 from ddpc_reports.tables.ranking import ranking_table
 
@@ -43,7 +44,7 @@ class Line(NamedTuple):
 
 
 def stacked(title: str, drawings: Iterable[tuple[str, str]], legend: Sequence[Line] = ()) -> str:
-    """Return drawings below each other as one, in the colours of the light page.
+    """Return drawings as one, narrow ones beside each other, in the colours of the light page.
 
     Parameters
     ----------
@@ -64,16 +65,20 @@ def stacked(title: str, drawings: Iterable[tuple[str, str]], legend: Sequence[Li
     if not all(boxes):  # the words that stand in the page for a drawing that failed
         raise OSError(f"{title} cannot be drawn")
     sizes = [(float(box[1]), float(box[2])) for box in boxes if box]
-    width = max([_LEAST_WIDTH, *(wide + 2 * _MARGIN for wide, _ in sizes)])
+    width = max([_LEAST_WIDTH, WIDE * bool(sizes), *(wide for wide, _ in sizes)]) + 2 * _MARGIN
     parts = [_text(_MARGIN, 22, title, 15)]
     keys, height = _legend(legend, _TITLE_HEIGHT, width)
+    left, row = _MARGIN, 0.0
     for above, svg, (wide, high) in zip(titles, svgs, sizes, strict=True):
+        if above or left + wide > width:  # beside the one before as long as there is room
+            left, height, row = _MARGIN, height + row, 0.0
         if above:
             height += _ROW
             parts.append(_text(_MARGIN, height - 4, above, 13))
-        place = f'<svg x="{_MARGIN:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
+        place = f'<svg x="{left:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
         parts.append(svg.replace("<svg", place, 1))
-        height += high + _MARGIN
+        left, row = left + wide + _MARGIN, max(row, high + _MARGIN)
+    height += row
     return in_light(
         f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
         f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}">'
@@ -137,12 +142,16 @@ def of_traces(traces: Mapping[str, Trace]) -> Picture:
     longest = max(columns.values(), key=len)
     clock = clock_for(float(longest.time[0]), float(longest.time[-1] - longest.time[0]))
     signals = levels(columns, labels, clock, "x")
-    names = [v.name for v in (*longest.disturbances, *longest.changed_inputs)]
-    signals += disturbances_of(columns, dict.fromkeys(names), clock, "x") + prices_of(columns, clock, "x")
+    acting = dict.fromkeys(v.name for v in (*longest.disturbances, *longest.changed_inputs))
+    signals += disturbances_of(columns, acting, clock, "x") + prices_of(columns, clock, "x")
     legend = [Line(labels[name], colour(int(name[1:])), dash(int(name[1:]))) for name in columns]
-    lines = [(signal, [name for name in columns if name in signal.columns]) for signal in signals]
-    specs = [time_chart(signal, names, longest.sampling_time, (), (WIDE, _HEIGHT)) for signal, names in lines]
-    return _picture(title, zip(specs, signals, strict=True), legend if len(columns) > 1 else [])
+    drawings, charts = list[tuple[str, str]](), list[Mapping[str, Any]]()
+    for signal in signals:
+        names = [name for name in columns if name in signal.columns]
+        drawings.append(("", str(still(signal, names, (), (WIDE, _HEIGHT), signal.title)[0])))
+        spec = time_chart(signal, names, longest.sampling_time, (), (WIDE, _HEIGHT))
+        charts.append(_with_data(spec, {signal.id: signal.columns}))
+    return Picture(title, stacked(title, drawings, legend if len(columns) > 1 else []), tuple(charts))
 
 
 def _signals_of(trace: Trace) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -151,15 +160,6 @@ def _signals_of(trace: Trace) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def _listed(signals: tuple[tuple[str, ...], tuple[str, ...]]) -> str:
     return " -> ".join(map(", ".join, signals))
-
-
-def _picture(title: str, charts: Iterable[tuple[Spec, Signal]], legend: Sequence[Line]) -> Picture:
-    drawings, with_data = list[tuple[str, str]](), list[Mapping[str, Any]]()
-    for i, (spec, signal) in enumerate(charts):
-        data = {signal.id: signal.columns, f"{signal.id}{BAND}": signal.band}
-        drawings.append(("", str(drawing(spec, f"p{i}", signal.title, data).svg)))
-        with_data.append(_with_data(spec, data))
-    return Picture(title, stacked(title, drawings, legend), tuple(with_data))
 
 
 def _with_data(spec: Spec, data: Mapping[str, dict[str, Column]]) -> Mapping[str, Any]:

@@ -1,5 +1,6 @@
 """One simulation as a page in the manner of the report, or as a drawing: its signals over time."""
 
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,11 +10,12 @@ from markupsafe import Markup
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.plugins import write_atomically
-from ddpc_reports.embedding import drawing, pack
+from ddpc_reports.embedding import brought_to_life, pack
 from ddpc_reports.figures.clock import SECONDS, clock_for
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
 from ddpc_reports.figures.signal import Column, Signal, rounded, times
+from ddpc_reports.figures.still import still
 from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import given_time, significant, unit_symbol
 from ddpc_reports.page import set_page
@@ -22,7 +24,7 @@ from ddpc_reports.sections import Section, StudyPart
 
 _MOST_DRAWN, _MOST_POINTS = 24, 2000
 _LINE = "c0"
-_HEIGHT = 200
+_WIDTH, _HEIGHT = 900, 200
 
 
 def simulation_page(simulation: Simulation) -> str:
@@ -57,16 +59,11 @@ def simulation_page(simulation: Simulation) -> str:
 
 
 def simulation_drawing(simulation: Simulation) -> str:
-    """Return the figures below each other as one drawing, in the colours of the light page.
-
-    Raises
-    ------
-    OSError
-        They cannot be drawn.
-    """
+    """Return the figures below each other as one drawing, in the colours of the light page."""
     title = simulation.plant if simulation.completed else f"{simulation.plant} ({simulation.outcome})"
-    views = (_view(simulation, signal, WIDE) for signal in _signals(simulation))
-    return stacked(title, (("", str(view.drawing.svg)) for view in views))
+    size = (_WIDTH, _HEIGHT)
+    drawings = (still(signal, [_LINE], (), size, signal.title)[0] for signal in _signals(simulation))
+    return stacked(title, (("", str(drawn)) for drawn in drawings))
 
 
 def write(simulation: Simulation, path: Path) -> Path:
@@ -115,7 +112,8 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
 def _view(simulation: Simulation, signal: Signal, width: int) -> View:
     spec = time_chart(signal, [_LINE], simulation.sampling_time, size=(width, _HEIGHT))
     description = f"{signal.title} over time"
-    picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
+    draw = partial(still, signal, [_LINE], (), (width, _HEIGHT), description)
+    picture = brought_to_life(draw, spec, description)
     place = f"simulation-{signal.id}"
     time = signal.clock.unit
     return View(place, "", description, spec, picture, signal.id, (_LINE,), signal.unit, (_LINE,), time=time)

@@ -128,7 +128,7 @@ def test_an_offset_of_a_display_unit_cancels_in_differences() -> None:
 
 
 def test_a_step_response_by_hand() -> None:
-    """From 0 to 10: within 10 % until row 0, 90 % at row 3, 20 % too far at row 4, within 5 % from row 6."""
+    """From 0 to 10: at 90 % in row 3, 20 % too far in row 4, within 5 % from row 6."""
     y = [0, 2, 6, 9.5, 12, 9, 10.4, 9.6, 10, 10, 0]
     trace = trace_of([10] * 11, y)
     assert figure(trace, "overshoot") == pytest.approx(20.0)
@@ -151,6 +151,24 @@ def test_of_several_steps_the_worst_counts_and_the_median_rise() -> None:
     assert figure(trace, "overshoot") == pytest.approx(40.0)
     assert figure(trace, "rise_time") == pytest.approx(np.median([1, 2]) * H)
     assert figure(trace, "settling_time") == pytest.approx(4 * H)
+
+
+def test_rise_and_settling_time_count_from_the_step() -> None:
+    """A dead time belongs to both; who has left before the step has gone a part of the way when it comes."""
+    late = np.array([*[0.0] * 20, *[0.0] * 4, 0.5, *[0.92] * 2, *[1.0] * 13])
+    assert figure(stepping(0, 1, y=late), "rise_time") == pytest.approx(5 * H)
+    assert figure(stepping(0, 1, y=late), "settling_time") == pytest.approx(7 * H)
+    early = np.array([*[0.0] * 18, 0.4, 0.6, 0.8, *[0.92] * 2, *[1.0] * 17])
+    assert figure(stepping(0, 1, y=early, preview=3), "rise_time") == pytest.approx(1 * H)
+    assert figure(stepping(0, 1, y=early, preview=3), "settling_time") == pytest.approx(3 * H)
+    assert figure(stepping(0, 1, y=early, preview=3), "anticipation") == pytest.approx(2 * H)
+
+
+@given(arrays.arrays(np.float64, 20, elements=st.floats(-2.0, 3.0)), st.integers(0, 10))
+def test_no_response_settles_before_it_has_risen(after: FloatArray, preview: int) -> None:
+    response = stepping(0, 1, y=np.append(np.zeros(20), after), preview=preview)
+    settling = figure(response, "settling_time")
+    assert math.isnan(settling) or figure(response, "rise_time") <= settling
 
 
 def test_a_response_that_does_not_arrive_has_no_times() -> None:
@@ -204,7 +222,7 @@ def test_who_looks_ahead_is_not_judged_where_it_already_answers_the_next_step() 
     assert figure(trace, "settled_error") == 0.0
     assert figure(trace, "overshoot") == 0.0
     assert figure(trace, "settling_time") == 0.0
-    assert figure(trace, "rise_time") == pytest.approx(np.median([1, 3]) * H)
+    assert figure(trace, "rise_time") == 0.0
     assert figure(trace, "anticipation") == pytest.approx(2 * H)
     assert figure(stepping(0, 1, 3, y=y, preview=1), "settled_error") == pytest.approx(0.5 / 4)
 

@@ -52,9 +52,8 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
             size = NAN
         tail = range(last - round((last - first) / 5), last)
         settled = abs(math.fsum(r[k] - y[k] for k in tail) / len(tail))
-        share = {k: (y[k] - before) / size for k in range(max(first - preview, 0), last)}
+        share = {k: (y[k] - before) / size for k in range(first, last)}
         there = [k for k in share if share[k] >= 0.9]
-        below = [k for k in range(max(first - preview, 0), there[0]) if share[k] <= 0.1] if there else []
         outside = [k for k in range(first, last) if abs(share[k] - 1) > 0.05]
         arrived = outside[-1] + 1 if outside else first
         stretches.append(
@@ -64,7 +63,7 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
                 size,
                 settled,
                 max(0.0, *(share[k] - 1 for k in range(first, last))) * 100,
-                (there[0] - below[-1]) * h if below else NAN,
+                (there[0] - first) * h if there else NAN,
                 (arrived - first) * h if arrived < last else NAN,
             )
         )

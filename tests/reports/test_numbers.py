@@ -118,5 +118,25 @@ def test_every_cell_of_a_column_reserves_the_same_room_after_the_point(values: l
     assert len(rooms) <= 1
 
 
+@pytest.mark.parametrize(
+    ("values", "texts"),
+    [
+        ([0.5264, 0.566, 1.5740, 0.0313, 0.0050], ["0.5264", "0.5660", "1.5740", "0.0313", "0.0050"]),
+        ([0.92, 18.17, 32.2, 0.0], ["0.92", "18.17", "32.20", "0.00"]),
+        ([1234.5, 0.5, 2.0], ["1\u202f234.500", "0.500", "2.000"]),
+        ([12.3456, 0.0000012], ["12.346", f"1.2{THIN}{TIMES}{THIN}10⁻⁶"]),
+    ],
+)
+def test_a_column_has_one_number_of_decimals(values: list[float], texts: list[str]) -> None:
+    assert [text.strip() for text in column(values)] == texts
+
+
+@given(st.lists(st.floats(min_value=1e-4, max_value=9e5), min_size=1, max_size=8))
+def test_all_numbers_of_a_column_have_the_same_decimals(values: list[float]) -> None:
+    plain = [cell for cell in column(values) if TIMES not in cell]
+    assert len({len(cell.strip().partition(".")[2]) for cell in plain}) <= 1
+    assert all(float(cell.strip().replace("\u202f", "")) > 0 for cell in plain)
+
+
 def test_counts_have_no_decimals() -> None:
     assert column([16.0, 200.0, 0.0]) == ["16", "200", "0"]

@@ -195,7 +195,7 @@ def test_figures_of_the_step_response_are_those_of_runs_that_did_not_fail(make_r
     results = make_results(losing, seeds=[0])
     table = response_table(only(results), "")
     assert table is not None
-    quick, slow = table.rows
+    slow, quick = table.rows
     held = [head.title != "RMSE" for head in table.headings[1:]]
     assert {cell.text for cell, counts in zip(quick.cells, held, strict=True) if counts} == {"\N{EN DASH}"}
     (case,) = (case for case in results.cases if case.controller == "slow")

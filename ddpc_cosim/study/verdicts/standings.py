@@ -33,6 +33,7 @@ _MONEY = "money"
 _PERCENT = 1.0
 _DIGITS = 3
 """Significant digits that tables print of a median: who is equal in them is equal in rank."""
+_MOST_KEPT = 100
 
 
 class Standing(NamedTuple):
@@ -426,6 +427,10 @@ class Standings:
         return fmean(places) if places else 0.0
 
 
+_KEPT: dict[str, Standings] = {}
+"""The standings of late, by what decides them."""
+
+
 def pareto_fronts(names: Iterable[str], dominates: Callable[[str, str], bool]) -> tuple[tuple[str, ...], ...]:
     """Return who is dominated by none of the others, then who is by none but those, and so on.
 
@@ -521,7 +526,16 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
     tasks = {name: _tasks(runs, group) for name, group in by_scenario.items() if name not in left_out}
     by_key: dict[str, dict[str, Runs]] = {key: dict(by_controller) for key, by_controller in runs.items()}
-    return Standings(keys, by_key, left_out, relevant, tasks)
+    return _of_same_runs(Standings(keys, by_key, left_out, relevant, tasks))
+
+
+def _of_same_runs(made: Standings) -> Standings:
+    """Return earlier standings of the same runs, if there are any: the tests of all pairs take a second."""
+    same = repr((made.keys, made.runs, made.left_out, made.relevant, made.tasks))
+    kept = _KEPT.setdefault(same, made)
+    while len(_KEPT) > _MOST_KEPT:
+        del _KEPT[next(iter(_KEPT))]
+    return kept
 
 
 def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:

@@ -97,6 +97,11 @@ def dash(index: int) -> tuple[float, ...]:
     return DASHES[index % len(DASHES)]
 
 
+def dashes(index: int) -> str:
+    """Return that pattern as SVG has it; empty of a solid line."""
+    return " ".join(f"{length:g}" for length in dash(index)) if index % len(DASHES) else ""
+
+
 def field(name: str, title: str | None, kind: str = "quantitative") -> Spec:
     """Return the encoding of a field of the data."""
     return {"field": name, "type": kind, "title": title}

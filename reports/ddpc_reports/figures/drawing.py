@@ -34,12 +34,11 @@ for line in sys.stdin.buffer:
     try:
         spec, samples = json.loads(line)
         vega = vl_convert.vegalite_to_vega(spec)
-        answer = {"vega": vega}
-        if samples is not None:
-            sets = vega["data"]
-            rows = [{"values": samples[entry["name"]]} if entry["name"] in samples else {} for entry in sets]
-            data = [entry | more for entry, more in zip(sets, rows)]
-            answer["svg"] = vl_convert.vega_to_svg(vega | {"data": data})
+        sets, known = vega["data"], samples or {}
+        rows = [{"values": known[entry["name"]]} if entry["name"] in known else {} for entry in sets]
+        data = [entry | more for entry, more in zip(sets, rows)]
+        svg = "" if samples is None else vl_convert.vega_to_svg(vega | {"data": data})
+        answer = {"vega": vega, "svg": svg}
     except Exception as error:
         answer = {"error": str(error)}
     answers.write(json.dumps(answer).encode() + b"\\n")
@@ -134,8 +133,8 @@ def rendered(spec: Spec, samples: Mapping[str, list[dict[str, Any]]] | None) -> 
     ----------
     spec : dict
         Vega-Lite specification.
-    samples : mapping of str to list of dict, optional
-        The rows of the data sets that it names; None: no picture is drawn.
+    samples : mapping of str to list of dict
+        The rows of the data sets that it names; None: there is no picture.
 
     Raises
     ------

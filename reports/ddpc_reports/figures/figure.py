@@ -8,6 +8,8 @@ from itertools import groupby
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple, TypeVar
 
+from markupsafe import Markup
+
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.files.texts import clipped, recorded, without_folders
 from ddpc_cosim.metrics import metric_name
@@ -23,7 +25,7 @@ from ddpc_reports.embedding import Drawing, drawing
 from ddpc_reports.figures.charts import (
     COLOURS,
     Spec,
-    dash,
+    dashes,
     ranges_widely,
     spread_chart,
     step_time_chart,
@@ -47,13 +49,65 @@ class Entry:
     note: str
 
 
+SHAPES = {
+    "dot": "M10,4a3,3 0 1 0 6,0a3,3 0 1 0 -6,0Z",
+    "tick": "M12,-1h2v10h-2Z",
+    "triangle": "M13,0l4.5,8h-9Z",
+    "diamond": "M13,-1l4,5l-4,5l-4,-5Z",
+    "ring": "M13,-1l4,5l-4,5l-4,-5Zm0,2l-2.4,3l2.4,3l2.4,-3Z",
+    "cross": "M11.5,-.5h3v3h3v3h-3v3h-3v-3h-3v-3h3Z",
+}
+"""Marks in a legend, as paths in a box of 26 by 8."""
+
+
 class Key(NamedTuple):
-    """A line of a legend that is not a controller's: what it is and how it is drawn; an area is as wide."""
+    """A line of a legend that is not a controller's: what it is and how it is drawn.
+
+    Parameters
+    ----------
+    label : str
+        What it is.
+    colour : str
+        As in the page.
+    dashes : str
+        Of a line.
+    is_area : bool
+        Whether it is an area, which is drawn as wide.
+    shape : str
+        Of a mark, one of ``SHAPES``; empty: it is a line or an area.
+    """
 
     label: str
     colour: str
     dashes: str = ""
     is_area: bool = False
+    shape: str = ""
+
+    @property
+    def path(self) -> str:
+        """The path of a mark; empty of lines and areas."""
+        return SHAPES.get(self.shape, "")
+
+
+class Small(NamedTuple):
+    """The small panel of one controller.
+
+    Parameters
+    ----------
+    label : str
+        Of the controller.
+    colour : int
+        Its number, from which it has colour and dashes.
+    note : str
+        Its figure, or how its run ended.
+    pictures : tuple of Markup
+        One for each signal.
+    """
+
+    label: str
+    colour: int
+    note: str
+    pictures: tuple[Markup, ...]
 
 
 @dataclass(frozen=True)
@@ -92,6 +146,9 @@ class Figure:
     reference: bool = False
     folded: bool = False
     keys: tuple[Key, ...] = ()
+    small: tuple[Small, ...] = ()
+    """Panels of one controller each, and what they show."""
+    small_words: str = ""
 
     @property
     def panels(self) -> list[tuple[str, list[View]]]:
@@ -122,8 +179,13 @@ def entry(controller: ControllerResults, *, of_first: bool = True) -> Entry:
     """Return the line of a legend of a controller; ``of_first``: with how its first seed ended."""
     case = controller.first_case
     note = "" if controller.succeeded_first or not of_first else outcome_words(case) if case else "not run"
-    pattern = " ".join(f"{length:g}" for length in dash(controller.index))
-    return Entry(column_name(controller), controller.label, controller.index % COLOURS, pattern, note)
+    return Entry(
+        column_name(controller),
+        controller.label,
+        controller.index % COLOURS,
+        dashes(controller.index),
+        note,
+    )
 
 
 def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
@@ -141,15 +203,18 @@ def spread_figure(condition: Condition, key: str, identifier: str) -> Figure | N
     rows = [row for controller in condition.controllers for row in _spread_rows(condition, controller, key)]
     if not rows:
         return None
-    dots = "one dot per seed"
+    dots = ""
     if len(condition.seeds) > _MOST_DOTS:
-        dots = f"{_MOST_DOTS} dots at most, even in rank from the lowest value to the highest"
-    caption = (
-        f"Over {len(condition.seeds)} seeds, {what} in the cases that did not fail; "
-        f"{dots}, upright line: median, diamond: seed {condition.seeds[0]}."
-        + (" Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else "")
+        dots = f"; {_MOST_DOTS} dots at most, even in rank from the lowest value to the highest"
+    caption = f"Over {len(condition.seeds)} seeds, {what} in the cases that did not fail{dots}." + (
+        " Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else ""
     )
-    return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis))
+    keys = (
+        Key("one seed", "var(--ink-soft)", shape="dot"),
+        Key("median", "var(--ink)", shape="tick"),
+        Key(f"seed {condition.seeds[0]}", "var(--ink)", shape="ring"),
+    )
+    return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis), keys=keys)
 
 
 def _spread_rows(condition: Condition, controller: ControllerResults, key: str) -> list[dict[str, Any]]:
@@ -191,11 +256,14 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     if not rows:
         return None
     sampling_time = condition.results.study.loop.sampling_time
-    caption = (
-        "Time of one controller step: median (circle), 95 % (triangle), 99 % (diamond) and longest (cross). "
-        f"Dashed line: the sampling time, {given_duration(sampling_time)}. Logarithmic axis."
+    figures, shapes = dict.fromkeys(row["figure"] for row in rows), ("dot", "triangle", "diamond", "cross")
+    keys = (
+        *(Key(words, "var(--ink-soft)", shape=shape) for words, shape in zip(figures, shapes, strict=False)),
+        Key(f"sampling time, {given_duration(sampling_time)}", "var(--limit)", "4 3"),
     )
-    return one_chart(f"{prefix}step-time", "Step time", caption, step_time_chart(rows, sampling_time))
+    caption = "Time of one controller step. Logarithmic axis."
+    chart = step_time_chart(rows, sampling_time)
+    return one_chart(f"{prefix}step-time", "Step time", caption, chart, keys=keys)
 
 
 def _step_time_row(controller: ControllerResults, words: str, seconds: float) -> dict[str, Any]:
@@ -208,13 +276,15 @@ def _step_time_row(controller: ControllerResults, words: str, seconds: float) ->
     }
 
 
-def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
-    """Return a figure of one chart that needs no legend; the caption describes it, and what its marks say."""
+def one_chart(
+    identifier: str, title: str, caption: str, spec: Spec, panel: str = "", keys: tuple[Key, ...] = ()
+) -> Figure:
+    """Return a figure of one chart; the caption describes it, and what its marks say."""
     name = f"{identifier}-1"
     words = "; ".join(_texts_of_marks(spec["data"]["values"]))
     description = f"{caption} {words}." if words else caption
     view = View(name, clipped(panel, _LONGEST_TITLE), description, spec, drawing(spec, name, description))
-    return Figure(identifier, title, caption, (view,))
+    return Figure(identifier, title, caption, (view,), keys=keys)
 
 
 def _texts_of_marks(rows: Sequence[Mapping[str, Any]]) -> list[str]:

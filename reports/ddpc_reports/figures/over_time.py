@@ -9,8 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from ddpc_cosim.files.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
-from ddpc_reports.embedding import drawing
-from ddpc_reports.figures.charts import COLOURS
+from ddpc_reports.embedding import brought_to_life
 from ddpc_reports.figures.figure import Figure, Key, View, entry, in_its_place
 from ddpc_reports.figures.outside import (
     FORECAST,
@@ -21,6 +20,8 @@ from ddpc_reports.figures.outside import (
 )
 from ddpc_reports.figures.samples import InfoSignals, Over, column_name, info_signals, seen
 from ddpc_reports.figures.signal import BAND, LOWER, UPPER, Column, Signal, known
+from ddpc_reports.figures.small import MOST_IN_PANEL, small_panels, small_words
+from ddpc_reports.figures.still import still
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.tables.settings import known_words, own_units, scenario_effects
@@ -31,6 +32,8 @@ _INFO = "What controllers said of their steps"
 _HEIGHTS = {"Responses": (236, 188), "Errors": (176, 134), "Control signals": (164, 124)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
+_SMALL = ("Responses", "Control signals")
+_LEADERS, _MOST_OF_REST = 5, 9
 _OUTSIDE = (130, 110)
 
 
@@ -66,6 +69,13 @@ class _Scene:
     marks: list[Mark]
     over: Over
     prefix: str
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether there are panels with so many lines, or would be, that each needs one of its own."""
+        asked = any(panel.controllers for panel in self.condition.results.study.report.panels)
+        most = max((len(panel.members) for panel in self.panels), default=0)
+        return most > MOST_IN_PANEL or (len(self.panels) > 1 and not asked)
 
 
 def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -> TimeFigures:
@@ -109,7 +119,8 @@ def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -
     shown = [*drawn.outputs, *drawn.errors, *drawn.inputs, *drawn.changes, *info.signals, *charged]
     shown += [signal for signals, _ in outside.values() for signal in signals]
     samples = {signal.id: signal.columns for signal in shown}
-    samples |= {f"{signal.id}{BAND}": signal.band for signal in shown if signal.band}
+    if not scene.is_crowded:
+        samples |= {f"{signal.id}{BAND}": signal.band for signal in shown if signal.band}
     return TimeFigures({"responses": responses, "errors": errors, "inputs": inputs}, samples)
 
 
@@ -125,7 +136,7 @@ def _info_figure(scene: _Scene, info: InfoSignals) -> Figure:
     )
     rest = f" {info.left_out} more in signals.csv." if info.left_out else ""
     every = f" One of {info.every} samples; all are in signals.csv." if info.every > 1 else ""
-    return _time_figure(replace(scene, panels=_even_panels(those)), info.signals, _INFO, what, every + rest)
+    return _time_figure(replace(scene, panels=_ranked_panels(those)), info.signals, _INFO, what, every + rest)
 
 
 def scenario_marks(condition: Condition) -> tuple[list[Mark], str]:
@@ -163,25 +174,34 @@ def _panels(condition: Condition) -> list[_Panel]:
         _Panel(panel.title, tuple(by_key[key] for key in panel.controllers if key in by_key))
         for panel in asked
     ]
-    return [panel for panel in panels if panel.members] or _even_panels(condition.controllers)
+    return [panel for panel in panels if panel.members] or _ranked_panels(condition.controllers)
 
 
-def _even_panels(controllers: tuple[ControllerResults, ...]) -> list[_Panel]:
-    """Share many controllers out over panels, so that no two in a panel have the same colour."""
-    count = -(-len(controllers) // COLOURS)
-    if count < 2:
+def _ranked_panels(controllers: tuple[ControllerResults, ...]) -> list[_Panel]:
+    """Return one panel of few controllers; of many those that lead, and the rest."""
+    if len(controllers) <= MOST_IN_PANEL:
         return [_Panel("", controllers)]
-    ends = [round(len(controllers) * n / count) for n in range(count + 1)]
-    return [_Panel(f"Controllers {a + 1} to {b}", controllers[a:b]) for a, b in pairwise(ends)]
+    first = min(_LEADERS, -(-len(controllers) // 2))
+    rest = controllers[first:]
+    count = -(-len(rest) // _MOST_OF_REST)
+    ends = [round(len(rest) * n / count) for n in range(count + 1)]
+    titles = [f"The rest, {n + 1} of {count}" if count > 1 else "The rest" for n in range(count)]
+    parts = (_Panel(title, rest[a:b]) for title, (a, b) in zip(titles, pairwise(ends), strict=True))
+    return [_Panel(f"Leaders: the first {first}", controllers[:first]), *parts]
 
 
 def _time_figure(scene: _Scene, signals: Sequence[Signal], title: str, what: str, more: str) -> Figure:
     """Return the figure of some signals, a chart for each of them in each panel; folded if it is minor."""
     condition, identifier = scene.condition, f"{scene.prefix}{title.lower().replace(' ', '-')}"
+    small = small_panels(condition, signals) if title in _SMALL and scene.is_crowded else ()
+    # Bands on each other hide each other: of many controllers the small panels have them.
+    bare = [replace(signal, band={}) if scene.is_crowded else signal for signal in signals]
+    if not small:
+        signals = bare
     places = [
         (panel, signal)
         for panel in scene.panels
-        for signal in signals
+        for signal in bare
         if any(column_name(member) in signal.columns for member in panel.members)
     ]
     alone = len(places) == 1
@@ -203,12 +223,16 @@ def _time_figure(scene: _Scene, signals: Sequence[Signal], title: str, what: str
         reference=any(signal.has_reference for signal in signals),
         folded=title not in _HEIGHTS,
         keys=_keys(signals),
+        small=small,
+        small_words=small_words(condition, signals) if small else "",
     )
 
 
 def _keys(signals: Sequence[Signal]) -> tuple[Key, ...]:
     """Return what a legend says of bands, of limits that change and of what acts from outside."""
     band = [Key("band", "var(--ink)", is_area=True)] if any(signal.has_band for signal in signals) else []
+    if any(signal.band for signal in signals):
+        band.append(Key("over the seeds: median and band", "var(--ink-soft)", is_area=True))
     looks = [
         Key(given.label or "expected", given.colour, " ".join(f"{length:g}" for length in given.dashes))
         for signal in signals
@@ -247,7 +271,7 @@ def _outside_view(scene: _Scene, signal: Signal, size: tuple[int, int], identifi
         if given.label
     ]
     description = f"{signal.title} {_over_time(signal)}: {'; '.join(ranges)}"
-    picture = drawing(spec, identifier, description, {signal.id: signal.columns})
+    picture = brought_to_life(partial(still, signal, [], (), size, description), spec, description)
     return View(identifier, "", description, spec, picture, signal.id, unit=signal.unit, **_read_out(signal))
 
 
@@ -314,18 +338,26 @@ def _band_words(scene: _Scene, signals: Sequence[Signal]) -> str:
     ]
     if failed:
         words += f"; without the runs that failed ({', '.join(failed)})"
-    return f"{words}; none where the seeds hardly differ."
+    where = ", in the small panels" if scene.is_crowded else ""
+    return f"{words}{where}; none where the seeds hardly differ."
 
 
 def _limits_words(signals: Sequence[Signal]) -> str:
     """Say which limits are not in the picture."""
-    far = [
-        f"{signal.title.partition(' / ')[0]} at "
-        + " and ".join(with_unit(as_given(limit), signal.unit) for limit in signal.far_limits)
-        for signal in signals
-        if signal.far_limits
-    ]
-    return f" Limits outside the picture: {', '.join(far)}." if far else ""
+    kinds = {
+        "Limits outside the picture": [(signal, signal.far_limits) for signal in signals],
+        "Not drawn, as no run reaches them: limits of": [(s, s.unreached_limits) for s in signals],
+    }
+    words = ""
+    for kind, limits_of in kinds.items():
+        named = [
+            f"{signal.title.partition(' / ')[0]} at "
+            + " and ".join(with_unit(as_given(limit), signal.unit) for limit in limits)
+            for signal, limits in limits_of
+            if limits
+        ]
+        words += f" {kind}{'' if kind.endswith('of') else ':'} {', '.join(named)}." if named else ""
+    return words
 
 
 def _beyond_words(scene: _Scene, signals: Sequence[Signal]) -> str:
@@ -375,19 +407,12 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
     spec = time_chart(signal, order, sampling_time, scene.marks, size)
     description = _description(signal, members)
-    # What is not drawn costs time.
-    given = {column for given in signal.given for column in given.columns}
-    of_panel = {"t", *signal.wanted, *given, *(name + end for name in names for end in ("", "l", "h"))}
-    samples = {
-        name: {key: columns[key] for key in columns if key in of_panel}
-        for name, columns in ((signal.id, signal.columns), (f"{signal.id}{BAND}", signal.band))
-    }
     return View(
         identifier,
         clipped(panel.title, 120),
         description,
         spec,
-        drawing(spec, identifier, description, samples),
+        brought_to_life(partial(still, signal, order, scene.marks, size, description), spec, description),
         signal.id,
         tuple(names),
         signal.unit,

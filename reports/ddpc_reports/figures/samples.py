@@ -27,6 +27,8 @@ _THINNEST = 0.004
 """Of the height of a chart, narrower than a line: such a band is not drawn."""
 _SETTLED_QUANTILE = 0.95
 _FEWEST_CONSTANT = 4
+_AT_LIMIT = 0.005
+"""Of the range of the samples: from that near a limit counts as reached."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,16 @@ def levels(traces: Mapping[str, Trace], labels: Mapping[str, str], clock: Clock,
         *(_level(runs, i, f"{prefix}y{i}", is_input=False) for i in range(len(longest.outputs))),
         *(_level(runs, i, f"{prefix}u{i}", is_input=True) for i in range(len(longest.inputs))),
     ]
+
+
+def first_outputs(condition: Condition) -> Signal | None:
+    """Return the first controlled output of the first seed; None without any run."""
+    traces = first_runs(condition)
+    if not traces:
+        return None
+    labels = {column_name(controller): clipped(controller.label) for controller in condition.controllers}
+    runs = _Runs(traces, max(traces.values(), key=len), trusted(traces), {}, labels, clock_of(condition))
+    return _level(runs, 0, "", is_input=False)
 
 
 def clock_of(condition: Condition) -> Clock:
@@ -275,6 +287,7 @@ def _level(runs: _Runs, i: int, name: str, *, is_input: bool) -> Signal:
         runs.trusted,
         limits.near,
         limits.far,
+        limits.unreached,
         held=is_input,
         band=band,
         clock=runs.clock,
@@ -359,9 +372,9 @@ class _Limits(NamedTuple):
     Parameters
     ----------
     near : dict of float to str
-        Constant ones that can be shown without squeezing the samples, and whose they are.
-    far : tuple of float
-        All others.
+        Constant ones that the samples reach, and whose they are.
+    far, unreached : tuple of float
+        Those that are reached only by runs that leave the picture, and those that no run reaches.
     columns : dict of str to Column
         Those that change with time and come near.
     given : tuple of Given
@@ -372,6 +385,7 @@ class _Limits(NamedTuple):
 
     near: dict[float, str]
     far: tuple[float, ...]
+    unreached: tuple[float, ...]
     columns: dict[str, Column]
     given: tuple[Given, ...]
     reach: tuple[float, ...]
@@ -392,7 +406,9 @@ def _limits(
                 constant.setdefault(shown[0], []).append(runs.labels[key])
     drawn = [value for key in ("r", LOWER, UPPER, *runs.trusted) for value in known(columns.get(key, []))]
     low, high = min(drawn, default=math.nan), max(drawn, default=math.nan)
-    margin = 0.25 * (high - low)
+    margin = _AT_LIMIT * (high - low)
+    everything = [value for key in ("r", *runs.traces) for value in known(columns.get(key, []))]
+    least, most = min(everything, default=math.nan) - margin, max(everything, default=math.nan) + margin
 
     def words(labels: list[str]) -> str:
         return "limit" if len(labels) == len(runs.traces) else f"limit of {', '.join(labels)}"
@@ -404,9 +420,11 @@ def _limits(
     over_time = {f"limit{n}": [*course] for n, course in enumerate(moving) if any(map(comes_near, course))}
     beyond = [limit for course in moving if not any(map(comes_near, course)) for limit in known(course)]
     reached = [limit for course in over_time.values() for limit in known(course) if comes_near(limit)]
+    outside = sorted({*constant.keys() - near.keys(), *beyond})
     return _Limits(
         near,
-        tuple(sorted({*constant.keys() - near.keys(), *beyond})),
+        tuple(limit for limit in outside if least <= limit <= most),
+        tuple(limit for limit in outside if not least <= limit <= most),
         over_time,
         tuple(
             Given((f"limit{n}",), words(labels), "var(--limit)", (3, 3), scales=False)

@@ -73,9 +73,9 @@ class Signal:
     scaled_by : tuple of str
         Columns of controllers that set the range of the axis.
     limits : dict of float to str
-        Limits that the axis should show because the samples come near them, and whose they are.
-    far_limits : tuple of float
-        Limits that are farther away.
+        Limits that the samples reach, which the axis shows, and whose they are.
+    far_limits, unreached_limits : tuple of float
+        Limits that are reached only by runs that leave the picture, and those that no run reaches.
     held : bool
         Values hold until the next sample.
     own_range : bool
@@ -102,6 +102,7 @@ class Signal:
     scaled_by: tuple[str, ...]
     limits: dict[float, str] = field(default_factory=dict)
     far_limits: tuple[float, ...] = ()
+    unreached_limits: tuple[float, ...] = ()
     held: bool = False
     own_range: bool = False
     band: dict[str, Column] = field(default_factory=dict)

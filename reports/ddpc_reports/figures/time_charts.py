@@ -10,9 +10,9 @@ from ddpc_reports.figures.signal import BAND, LOWER, UPPER, Given, Signal
 
 WIDE, NARROW = 1000, 480
 """Widths of a drawing that has the page to itself, and of one beside others [px]."""
-_LABELS_FROM = 22
+LABELS_FROM = 22
 """Above the chart, where the title of the axis ends [px]."""
-_LETTER, _ROW = 5.6, 14
+_LETTER, MARK_ROW = 5.6, 14
 """Width of a letter of a mark's label, about, and height of a row of these [px]."""
 _MOST_LABEL_ROWS, _LEAST_LABEL = 3, 18
 _LONG_TIMES = "format(datum.value, '~f')"
@@ -198,7 +198,7 @@ def _zero(signal: Signal) -> list[Spec]:
     return [layer(rule, {"y": _y(signal)}, [{"value": 0}])] if signal.settled is not None else []
 
 
-class _Label(NamedTuple):
+class Label(NamedTuple):
     """Where a label stands: its time, from where to where [s] it may reach, its row, the lowest being 0."""
 
     t: float
@@ -211,7 +211,7 @@ class _Label(NamedTuple):
 
 def label_rows(
     marks: Sequence[Mark], ends: tuple[float, float], width: float
-) -> tuple[list[_Label], list[Mark]]:
+) -> tuple[list[Label], list[Mark]]:
     """Return where the labels of marks stand, one for all that begin at one time, and the marks.
 
     Each gets the first row in which it fits, else the one with the most room; there it is clipped so that
@@ -230,7 +230,7 @@ def label_rows(
     texts: dict[float, str] = {}
     for mark in sorted(marks, key=lambda mark: mark.begin):
         texts[mark.begin] = ", ".join(filter(None, (texts.get(mark.begin), mark.label)))
-    rows: list[list[_Label]] = []
+    rows: list[list[Label]] = []
     reached: list[float] = []
     second = (last - first) / width
     for time, text in texts.items():
@@ -241,12 +241,12 @@ def label_rows(
         if not fitting and len(rows) < _MOST_LABEL_ROWS:
             fitting, rows, reached = [len(rows)], [*rows, []], [*reached, first]
         row = fitting[0] if fitting else min(range(len(rows)), key=reached.__getitem__)
-        rows[row].append(_Label(time, text, begin, end, row, leftwards))
+        rows[row].append(Label(time, text, begin, end, row, leftwards))
         reached[row] = end
     return [label for row in rows for label in _apart(row, first, last)], list(marks)
 
 
-def _apart(row: Sequence[_Label], first: float, last: float) -> list[_Label]:
+def _apart(row: Sequence[Label], first: float, last: float) -> list[Label]:
     """Give each label of a row all the time to the next one; two that face each other share it by length."""
     placed = list(row)
     ends = [first, *(_between(a, b) for a, b in pairwise(placed)), last]
@@ -258,13 +258,13 @@ def _apart(row: Sequence[_Label], first: float, last: float) -> list[_Label]:
     ]
 
 
-def _between(a: _Label, b: _Label) -> float:
+def _between(a: Label, b: Label) -> float:
     if a.leftwards or not b.leftwards:
         return a.t if b.leftwards else b.t
     return a.t + (b.t - a.t) * (len(a.label) + 1) / (len(a.label) + len(b.label) + 2)
 
 
-def _marks(placed: tuple[list[_Label], list[Mark]], x: Spec) -> list[Spec]:
+def _marks(placed: tuple[list[Label], list[Mark]], x: Spec) -> list[Spec]:
     """Shade spans and rule instants, their labels in rows above the chart."""
     labels, marks = placed
     spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
@@ -280,7 +280,7 @@ def _marks(placed: tuple[list[_Label], list[Mark]], x: Spec) -> list[Spec]:
         **soft,
         "align": {"expr": "datum.leftwards ? 'right' : 'left'"},
         "dx": {"expr": "datum.leftwards ? 1 : -1"},
-        "y": {"expr": f"-{_LABELS_FROM} - {_ROW} * datum.row"},
+        "y": {"expr": f"-{LABELS_FROM} - {MARK_ROW} * datum.row"},
         "limit": {"expr": f"max({room}, 1)"},
         "opacity": {"expr": f"{room} < {_LEAST_LABEL} ? 0 : 1"},
     }

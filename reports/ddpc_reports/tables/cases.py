@@ -10,6 +10,7 @@ from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
+    in_ranked_order,
     indices,
     labels,
     metric_keys,
@@ -62,8 +63,9 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
 
 
 def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], prefix: str) -> Table:
-    """Return the cases with outcomes and main metrics, in the study's order: all that there is room for."""
-    keys, cases = _case_keys(condition_of_all), _shown_cases(results)
+    """Return the cases with outcomes and metrics, as controllers are ranked: all that there is room for."""
+    keys, order = _case_keys(condition_of_all), in_ranked_order(results, labels(results))
+    cases = sorted(_shown_cases(results), key=lambda case: order.index(case.controller))
     values = {key: [_value(case, key) for case in cases] for key in keys}
     scales = [shown_as(key, values[key]) for key in keys]
     columns = [
@@ -81,7 +83,8 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
             Cell(outcome, outcome, failed=case.failed, detail=_reason(case)),
             *(cells[i] for cells in columns),
         ]
-        rows.append(Row(names[case.controller], tuple(shown), case.controller, numbers[case.controller]))
+        name = names[case.controller]
+        rows.append(Row(name, tuple(shown), case.controller, numbers[case.controller]))
     headings = [
         Heading("Controller", numeric=False),
         *([Heading("scenario", numeric=False)] if several else []),

@@ -9,7 +9,7 @@ from ddpc_cosim import judge_prediction
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import Condition, ControllerResults, spread
 from ddpc_reports.numbers import MISSING, integer, significant
-from ddpc_reports.tables.table import Column, number_cells
+from ddpc_reports.tables.table import Column, controller_row, number_cells
 
 Values = Mapping[str, float]
 """What one run says of its data, by name."""
@@ -134,12 +134,11 @@ def _with_cells(data: Sequence[_Data], columns: Sequence[Sequence[Cell]]) -> tup
     """Return the rows, below their scenarios where not all of them are of all."""
     several = len({entry.scenarios for entry in data}) > 1
     return tuple(
-        Row(
-            ": ".join(filter(None, (entry.owner.label, entry.part))),
+        controller_row(
+            entry.owner,
             tuple(cells[i] for cells in columns),
-            entry.owner.key,
-            entry.owner.index,
             "; ".join(entry.scenarios) if several else "",
+            ": ".join(filter(None, (entry.owner.label, entry.part))),
         )
         for i, entry in enumerate(data)
     )

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from markupsafe import Markup
+
 from ddpc_cosim.files.tables import Cell, Heading, Table
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
@@ -16,9 +18,10 @@ from ddpc_reports.comparison import (
     outcome_words,
     response_metrics,
 )
-from ddpc_reports.numbers import MISSING, significant
+from ddpc_reports.numbers import MISSING
 from ddpc_reports.shares import SHARE_NOTE, share_columns
 from ddpc_reports.tables.controllers import LIMITS, RESPONSE, meanings, metric_column
+from ddpc_reports.tables.pictures import ratio_to, ratios_in_row, responses_in_rows, with_bars
 from ddpc_reports.tables.table import Column, controller_table, interval_texts, number_cells
 
 RANK = "rank"
@@ -89,8 +92,10 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
         columns,
         (*_notes(condition, ranking), *baselines.notes()),
         "ranking.csv",
+        pictures=responses_in_rows(condition, order),
         kind="ranking",
         sortable=True,
+        drawn="response",
     )
 
 
@@ -125,6 +130,7 @@ def _rank_column(ranking: Standings, order: Sequence[ControllerResults]) -> Colu
 def _headline_columns(ranked: Condition, ranking: Standings, key: str) -> list[Column]:
     """Return the medians of what is ranked by and, of one output, their 95 % intervals."""
     heading, cells = metric_column(ranked, key)
+    cells = with_bars(cells, ranked.controllers)
     if len(ranked.headline) > 1 or len(ranked.seeds) < 2:
         return [(heading, cells)]
     samples = [ranking.samples.get(key, {}).get(controller.key) for controller in ranked.controllers]
@@ -245,9 +251,32 @@ def matrix_table(
         [*first, *columns],
         said,
         "matrix.csv",
+        pictures=ratios_in_rows(places, order),
         kind="ranking matrix",
         sortable=True,
+        drawn="to the best",
     )
+
+
+def ratios_in_rows(places: Sequence[Place], order: Sequence[ControllerResults]) -> list[Markup]:
+    """Return for each controller a picture of how many times the best it comes to, place by place."""
+    of_rows = [list[float]() for _ in order]
+    for place in places:
+        for key in place.condition.headline:
+            members = [place.condition.by_key.get(controller.key) for controller in order]
+            values = [
+                member.over_seeds(key).median if member and member.failed < len(member.cases) else math.nan
+                for member in members
+            ]
+            able = [
+                value
+                for member, value in zip(members, values, strict=True)
+                if member and place.condition.may_win(member) and not math.isnan(value)
+            ]
+            best = min(able, default=math.nan)
+            for row, value in zip(of_rows, values, strict=True):
+                row.append(ratio_to(best, value))
+    return [ratios_in_row(controller, ratios) for controller, ratios in zip(order, of_rows, strict=True)]
 
 
 def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *, several: bool) -> Column:
@@ -264,14 +293,23 @@ def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *,
     detail = " / ".join(filter(None, (signal, metric_unit(key))))
     title = condition.label if condition.label != condition.scenario or not several else condition.scenario
     heading = Heading(title, detail, group=place.problem if several else "", href=place.href)
+    ends = [_ends_of(member, key) for member in members]
     return heading, [
-        _place_cell(cell, member, key, best, place.href, ranked=able)
-        for cell, member, able in zip(cells, members, marked, strict=True)
+        _place_cell(
+            replace(cell, detail="" if text == MISSING else text), member, best, place.href, ranked=able
+        )
+        for cell, text, member, able in zip(cells, interval_texts(ends, 3), members, marked, strict=True)
     ]
 
 
+def _ends_of(controller: ControllerResults | None, key: str) -> tuple[float, float]:
+    """Return the range of a metric over the seeds; NaN where they do not differ."""
+    spread = controller.over_seeds(key) if controller else None
+    return (spread.low, spread.high) if spread and spread.varies else (math.nan, math.nan)
+
+
 def _place_cell(
-    cell: Cell, controller: ControllerResults | None, key: str, best: float, href: str, *, ranked: bool
+    cell: Cell, controller: ControllerResults | None, best: float, href: str, *, ranked: bool
 ) -> Cell:
     if controller is None:
         return Cell("")
@@ -279,18 +317,16 @@ def _place_cell(
         words = ((outcome_words(case), case.failure) for case in controller.cases)
         reasons = dict.fromkeys(": ".join(filter(None, pair)) for pair in words)
         return Cell("failed", math.nan, failed=True, tone="share-0", href=href, title="; ".join(reasons))
-    spread = controller.over_seeds(key)
-    detail = f"{significant(spread.low, 3)} … {significant(spread.high, 3)}" if spread.varies else ""
     failures = f"{controller.failed} failed" if controller.failed and not controller.is_point else ""
     tone = "share-0" if failures else _tone(float(cell.raw), best) if ranked else ""
-    return replace(cell, href=href, detail=detail, failures=failures, tone=tone)
+    return replace(cell, href=href, failures=failures, tone=tone)
 
 
 def _tone(value: float, best: float) -> str:
     """Return the tint of a value: the stronger, the nearer it is to the best of its column."""
     if not best >= 0 or math.isnan(value):
         return ""
-    ratio = value / best if best else math.inf if value else 1.0
+    ratio = ratio_to(best, value)
     return f"share-{5 - sum(ratio > limit for limit in _RATIOS)}"
 
 

@@ -26,9 +26,10 @@ from ddpc_cosim.study.file_format.sections import (
     ScenarioSection,
     Study,
 )
-from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
+from ddpc_reports.comparison import Condition, ControllerResults, in_ranked_order, indices, labels
 from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, given_time, unit_symbol, with_unit
+from ddpc_reports.tables.table import controller_row
 
 _LONG = 600.0
 """From how many seconds on times of signals are written as people say them."""
@@ -130,12 +131,18 @@ def _setting_docs(family: str) -> dict[str, str]:
     }
 
 
+def _in_ranked_order(results: StudyResults) -> list[tuple[str, str]]:
+    """Return names and labels of the controllers as they are ranked."""
+    names = labels(results)
+    return [(key, names[key]) for key in in_ranked_order(results, names)]
+
+
 def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
     """Return what each controller is: its type, the study's note about it, and what it has of its own."""
     numbers = indices(results)
     listed = {
         key: (label, section)
-        for key, label in labels(results).items()
+        for key, label in _in_ranked_order(results)
         if (section := results.study.controllers.get(key)) and not section.variant_of
     }
     columns = {
@@ -149,7 +156,12 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
     }
     shown = {title: texts for title, texts in columns.items() if title in ("type", "note") or any(texts)}
     rows = tuple(
-        Row(label, tuple(Cell(texts[i] or MISSING) for texts in shown.values()), key, numbers[key])
+        Row(
+            label,
+            tuple(Cell(texts[i] or MISSING) for texts in shown.values()),
+            key,
+            numbers[key],
+        )
         for i, (key, (label, _)) in enumerate(listed.items())
     )
     headings = text_headings("Controller", *shown)
@@ -172,7 +184,7 @@ def _variants_table(results: StudyResults, prefix: str) -> Table | None:
     sections, numbers = results.study.controllers, indices(results)
     variants = {
         key: (label, section.variant_of)
-        for key, label in labels(results).items()
+        for key, label in _in_ranked_order(results)
         if (section := sections.get(key)) and section.variant_of
     }
     if not variants:
@@ -215,7 +227,7 @@ def _bounds_table(condition: Condition, prefix: str) -> Table | None:
         return None
     names = [variable.name for variable in _bounded(next(iter(traces.values())))]
     rows = tuple(
-        Row(controller.label, tuple(map(Cell, limits_texts(trace))), controller.key, controller.index)
+        controller_row(controller, tuple(map(Cell, limits_texts(trace))))
         for controller in condition.controllers
         if (trace := traces.get(controller.key)) is not None
     )

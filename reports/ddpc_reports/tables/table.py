@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
@@ -21,15 +22,26 @@ def controller_table(
     columns: Sequence[Column],
     notes: tuple[str, ...],
     download: str,
+    *,
+    pictures: Sequence[str] = (),
     **more: Any,
 ) -> Table:
-    """Return a table with a row per controller; ``more`` are further fields of it."""
+    """Return a table with a row per controller, perhaps with a picture; ``more`` are further fields of it."""
+    drawn = pictures or [""] * len(controllers)
     rows = tuple(
-        Row(controller.label, tuple(cells[i] for _, cells in columns), controller.key, controller.index)
+        replace(controller_row(controller, tuple(cells[i] for _, cells in columns)), drawing=drawn[i])
         for i, controller in enumerate(controllers)
     )
     headings = (Heading("Controller", numeric=False), *(heading for heading, _ in columns))
     return Table(identifier, caption, headings, rows, notes, download=download, **more)
+
+
+def controller_row(
+    controller: ControllerResults, cells: tuple[Cell, ...], group: str = "", header: str = ""
+) -> Row:
+    """Return a row of a controller, under its label or a header that says more."""
+    label = controller.label
+    return Row(header or label, cells, controller.key, controller.index, group)
 
 
 def number_cells(
@@ -53,16 +65,16 @@ def number_cells(
     ]
 
 
-def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
-    """Write the intervals of a column with common decimals, more where they would have no width."""
-    lows, highs = (column([interval[i] for interval in ends]) for i in (0, 1))
+def interval_texts(ends: Sequence[tuple[float, float]], digits: int = 4) -> list[str]:
+    """Write the intervals of a column with one number of decimals, more where they would have no width."""
+    texts = column([end for interval in ends for end in interval], digits)
     return [
         MISSING
         if math.isnan(interval[0])
         else " … ".join(
             apart(*interval) if low == high and interval[0] < interval[1] else (low.strip(), high.strip())
         )
-        for interval, low, high in zip(ends, lows, highs, strict=True)
+        for interval, low, high in zip(ends, texts[::2], texts[1::2], strict=True)
     ]
 
 

@@ -438,7 +438,7 @@
       const text = entry.textContent.trim();
       const room = 34 + pen.measureText(text).width + 22;
       if (x > MARGIN && x + room > width) [x, y] = [MARGIN, y + 20];
-      const swatch = entry.querySelector("line").cloneNode();
+      const swatch = entry.querySelector("line, path").cloneNode();
       swatch.setAttribute("stroke-width", 2);
       const group = drawn("g", { transform: `translate(${x},${y})` });
       group.append(swatch, drawn("text", { x: 34, y: 8, ...style }, text));
@@ -557,7 +557,7 @@
   function filter() {
     const keys = new Set(Object.keys(lines).filter((key) => hidden.has(lines[key])));
     for (const button of buttons()) button.setAttribute("aria-pressed", String(!keys.has(button.dataset.controller)));
-    for (const entry of all("tr[data-controller], .legend li[data-controller]")) entry.hidden = keys.has(entry.dataset.controller);
+    for (const entry of all("tr[data-controller], .legend li[data-controller], .smalls > li[data-controller]")) entry.hidden = keys.has(entry.dataset.controller);
     for (const body of all("tbody > .group").map((row) => row.parentElement)) {
       body.hidden = all("tr:not(.group)", body).every((row) => row.hidden);
     }

@@ -1,6 +1,7 @@
 """What the axes show: no run that falls over flattens the others, and every tick has its label."""
 
 import json
+import math
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -14,12 +15,13 @@ from hypothesis import given, strategies as st
 from ddpc_cosim import Bounds, Outcome, Trace
 from ddpc_cosim.files.texts import clipped
 from ddpc_reports.comparison import conditions, on_one_page
-from ddpc_reports.embedding import _points, _simplified, _steps, pack
+from ddpc_reports.embedding import _points, _steps, pack, simplified
 from ddpc_reports.figures.charts import COLOURS, DASHES, colour, dash, log_ticks
 from ddpc_reports.figures.figure import Figure, spread_figures
 from ddpc_reports.figures.over_time import TimeFigures, time_figures
 from ddpc_reports.figures.samples import band_ends, seen, settled_samples, trusted
 from ddpc_reports.figures.time_charts import Mark, label_rows
+from ddpc_reports.numbers import significant, with_unit
 
 from ..synthetic import MakeResults, make_trace
 
@@ -76,20 +78,56 @@ def test_one_that_tracks_among_others_that_rest_is_trusted() -> None:
     assert trusted({"a": make_trace(0.3), "b": resting, "c": resting}) == ("a", "b", "c")
 
 
-def test_many_controllers_are_shared_out_so_that_no_two_of_a_panel_look_alike(
-    make_results: MakeResults,
+@pytest.mark.parametrize(
+    ("count", "panels"),
+    [
+        (6, {"": 6}),
+        (7, {"Leaders: the first 4": 4, "The rest": 3}),
+        (14, {"Leaders: the first 5": 5, "The rest": 9}),
+        (20, {"Leaders: the first 5": 5, "The rest, 1 of 2": 8, "The rest, 2 of 2": 7}),
+    ],
+)
+def test_many_controllers_are_shared_out_by_rank(
+    count: int, panels: dict[str, int], make_results: MakeResults
 ) -> None:
-    many = {f"k{number}": {"type": "a"} for number in range(2 * COLOURS + 1)}
-    (condition,) = conditions(make_results(controllers=many))
-    views = every_figure(time_figures(condition, "x-"))[0].views
-    assert [view.title for view in views] == [
-        "Controllers 1 to 5",
-        "Controllers 6 to 10",
-        "Controllers 11 to 15",
+    """The later one is declared the quicker it is; each stands in one panel, and looks like no other."""
+    many = {f"k{number:02}": {"type": "a"} for number in range(count)}
+    (condition,) = conditions(make_results(by_number, many))
+    (responses, _, _, _) = every_figure(time_figures(condition, "x-"))
+    assert {view.title: len(view.names) for view in responses.views} == panels
+    ranked = [f"c{number}" for number in reversed(range(count))]
+    assert [name for view in responses.views for name in view.names] == ranked
+    assert [entry.label for entry in responses.legend] == [*reversed(many)]
+    assert len({(entry.colour, entry.dashes) for entry in responses.legend}) == count
+
+
+def by_number(key: str, seed: int) -> Trace:
+    """Return a run that is the quicker the larger the controller's number is."""
+    return make_trace(1.0 / (1.0 + int(key[1:])), noise_seed=seed)
+
+
+def test_each_of_many_controllers_has_a_panel_of_its_own_on_the_same_axes(make_results: MakeResults) -> None:
+    many = {f"k{number}": {"type": "a"} for number in range(8)}
+    (condition,) = conditions(make_results(by_number, many, seeds=[0, 1]))
+    drawn = time_figures(condition, "x-")
+    responses, errors, controls, _ = every_figure(drawn)
+    assert not errors.small
+    assert not any(name.endswith("-band") for name in drawn.samples)
+    for figure in (responses, controls):
+        assert [panel.label for panel in figure.small] == [*reversed(many)]
+        assert [panel.colour for panel in figure.small] == [*reversed(range(8))]
+        pictures = [str(picture) for panel in figure.small for picture in panel.pictures]
+        # What stands behind is written once.
+        assert ["<use " in picture for picture in pictures] == [False] + 7 * [True]
+        assert ["<text" in picture for picture in pictures] == [True] + 7 * [False]
+        assert len(set(pictures)) == len(pictures)
+    assert "k7 faint behind" in responses.small_words
+    assert [panel.note for panel in responses.small] == [
+        with_unit(significant(condition.by_key[key].summed(condition.headline[0]), 3), "°")
+        for key in reversed(many)
     ]
-    for view in views:
-        colours = [int(name[1:]) % COLOURS for name in view.names]
-        assert len(set(colours)) == len(colours)
+    few = conditions(make_results(by_number, {key: many[key] for key in [*many][:6]}))[0]
+    assert not every_figure(time_figures(few, "x-"))[0].small
 
 
 @given(st.sets(st.integers(0, COLOURS * len(DASHES) - 1), min_size=2))
@@ -191,7 +229,7 @@ def test_a_simplified_line_passes_all_its_points_closer_than_can_be_seen(
     moves: list[tuple[int, int]],
 ) -> None:
     points = [(sum(dx for dx, _ in moves[: i + 1]), moves[i][1]) for i in range(len(moves))]
-    kept = _simplified(points)
+    kept = simplified(points, 3)
     assert (kept[0], kept[-1]) == (points[0], points[-1])
     assert set(kept) <= set(points)
     for x, y in points:
@@ -478,8 +516,11 @@ def test_of_a_stretch_of_constant_reference_the_second_half_is_settled_until_its
 
 
 def test_limits_are_named_where_they_are_drawn_and_told_where_they_are_not(make_results: MakeResults) -> None:
+    """Both outputs end at 20°, a little above with the noise; the torque begins at 3 N·m."""
+    high = math.radians(20.1)
+
     def limited(key: str, seed: int) -> Trace:
-        return scaled(make_trace(0.3), 1.0, low=-1.0, high=0.4 if key == "quick" else 0.36)
+        return scaled(make_trace(0.3), 1.0, low=-1.0, high=high if key == "quick" else 0.36)
 
     response, _, control, _ = every_figure(time_figures(conditions(make_results(limited))[0], "x-"))
     words = [
@@ -488,9 +529,21 @@ def test_limits_are_named_where_they_are_drawn_and_told_where_they_are_not(make_
         for layer in figure.views[0].spec["layer"]
         if layer["mark"]["type"] == "text"
     ]
-    assert words == [{(22.9, "limit of quick"), (20.6, "limit of slow")}, {(3.5, "limit")}]
-    assert "Limits outside the picture: angle at \u221257.2958°." in response.caption
-    assert "Limits outside the picture: torque at \u22123.5\u00a0N·m." in control.caption
+    assert words == [{(20.1, "limit of quick")}]
+    low, top = response.views[0].spec["params"][-1]["value"]
+    assert low > -3.0
+    assert top < 22.5
+    unreached = "Not drawn, as no run reaches them: limits of"
+    assert f"{unreached} angle at \u221257.2958° and 20.6265°." in response.caption
+    assert f"{unreached} torque at \u22123.5\u00a0N·m and 3.5\u00a0N·m." in control.caption
+    assert "outside the picture" not in response.caption
+
+
+def test_a_limit_that_only_a_run_off_the_axis_reaches_is_said_to_be_outside(
+    make_results: MakeResults,
+) -> None:
+    response, *_ = every_figure(time_figures(conditions(make_results(falls, THREE))[0], "x-"))
+    assert "Limits outside the picture: angle at 70.0000°." in response.caption.replace("70°", "70.0000°")
 
 
 def test_who_does_not_see_a_chart_is_told_whose_lines_from_where_to_where(make_results: MakeResults) -> None:

@@ -29,8 +29,8 @@ NAMES = {name: {"type": "a"} for name in LAGS}
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes most of the time and what no table follows from."""
-    for module in (figure, over_time):
-        monkeypatch.setattr(module, "drawing", lambda *chart: Drawing(Markup("")))
+    monkeypatch.setattr(figure, "drawing", lambda *chart: Drawing(Markup("")))
+    monkeypatch.setattr(over_time, "brought_to_life", lambda *chart: Drawing(Markup("")))
 
 
 def run_of(key: str, seed: int) -> Trace:

@@ -291,6 +291,7 @@ CONTENT: dict[str, Any] = {
         "author": "Its author",
         "comment": "What its author says.",
         "logo": "logo.svg",
+        "scenario": "windy",
         "reproduction": {
             "source": "Table 9",
             "metrics": {COST: "Absolute error"},
@@ -520,8 +521,8 @@ def test_what_the_study_says_of_itself_is_in_the_page(
 ) -> None:
     # Drawing takes most of the time, and what is drawn does not follow from these texts.
     monkeypatch.setattr(over_time, "time_chart", lambda *given: {"mark": "point"})
-    for module in (figure, over_time):
-        monkeypatch.setattr(module, "drawing", lambda *given: Drawing(Markup("")))
+    monkeypatch.setattr(figure, "drawing", lambda *given: Drawing(Markup("")))
+    monkeypatch.setattr(over_time, "brought_to_life", lambda *given: Drawing(Markup("")))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)
     content = write(results.study)
@@ -529,13 +530,14 @@ def test_what_the_study_says_of_itself_is_in_the_page(
     stated = {
         path: value
         for path, value in reversed([*changes(content)])
-        if path[0] in TEXTS and path[-2:-1] != ("controllers",) and path[-1] != "logo"
+        if path[0] in TEXTS and path[-2:-1] != ("controllers",) and path[-1] not in ("logo", "scenario")
     }
     assert {path[1] for path in stated if path[0] == "report"} == {*declared_fields(ReportSection)} - {
         "baseline",
         "claims",
         "logo",  # whose file lies with the results
         "reference_points",
+        "scenario",  # which of them is open
     }
     pages = {render_page([results]): "the study itself"}
     for path, value in stated.items():
