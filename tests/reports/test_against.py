@@ -83,8 +83,8 @@ def test_the_reader_chooses_whom_others_are_told_against(
 ) -> None:
     open_page(browser, pages["one"])
     given = browser.execute_script(ROWS, "s1-ranking")
-    assert browser.execute_script(HEADS, "s1-ranking")[2] == "against slow one"
-    assert [row[2] for row in given][1] == "baseline"
+    assert browser.execute_script(HEADS, "s1-ranking")[3] == "against slow one"
+    assert [row[3] for row in given][1] == "baseline"
     assert given[0][2].endswith("% better")
     assert given[0][2].startswith("\N{MINUS SIGN}")
     choose = Select(element(browser, ".against select"))
@@ -92,10 +92,10 @@ def test_the_reader_chooses_whom_others_are_told_against(
     rows = browser.execute_script(ROWS, "s1-ranking")
     assert browser.execute_script(HEADS, "s1-ranking")[2] == "against quick one"
     assert rows[0][2] == "baseline"
-    assert [(row[2][:1], row[2].rpartition("\xa0")[2]) for row in rows[1:]] == [("+", "% worse")] * 2
+    assert [(row[3][:1], row[3].rpartition("\xa0")[2]) for row in rows[1:]] == [("+", "% worse")] * 2
     assert [row[3:] for row in rows] == [row[3:] for row in given]
     choose.select_by_index(0)
-    assert browser.execute_script(HEADS, "s1-ranking")[2] != "against"
+    assert browser.execute_script(HEADS, "s1-ranking")[3] != "against"
     choose.select_by_visible_text("slow one")
     assert browser.execute_script(ROWS, "s1-ranking") == given
 
@@ -107,7 +107,7 @@ def test_a_column_that_the_reader_asks_for_sorts_by_its_numbers(
     before = browser.execute_script(HEADS, "s1-matrix")
     Select(element(browser, ".against select")).select_by_visible_text("slower one")
     heads = browser.execute_script(HEADS, "s1-matrix")
-    assert heads == [*before[:2], "against slower one", *before[2:]]
+    assert heads == [*before[:3], "against slower one", *before[3:]]
     button = "document.querySelectorAll('#s1-matrix-table thead th .sort')[2]"
     for _ in range(2):  # upwards, then downwards
         browser.execute_script(f"{button}.click()")

@@ -50,7 +50,7 @@ def test_every_controller_has_a_panel_that_can_be_read(
                 letters: scale * parseFloat(getComputedStyle(picture).fontSize) };
             })"""
         )
-        assert [panel["name"] for panel in panels] == [f"controller {n}, with a name" for n in range(COUNT)]
+        assert [panel["name"] for panel in panels] == [f"k{n}" for n in range(COUNT)]
         assert len({panel["key"] for panel in panels}) == COUNT
         assert all(panel["letters"] >= 8.5 for panel in panels)
         assert all(0 <= panel["left"] < panel["right"] <= width for panel in panels)
@@ -64,6 +64,6 @@ def test_every_controller_has_a_panel_that_can_be_read(
 def test_rows_and_panels_say_whose_they_are_by_the_same_name(page: str) -> None:
     text = Path(page.removeprefix("file://")).read_text(encoding="utf-8")
     for number in range(COUNT):
-        owner = f'data-controller="controller {number}, with a name"'
+        owner = f'data-controller="k{number}"'
         assert text.count(f"<tr {owner}>") > 8
-        assert text.count(f"<li {owner}>") == 2
+        assert text.count(f"<li {owner}><p>") == 2, "small panels of two figures"

@@ -19,7 +19,8 @@ from ..synthetic import MakeResults, make_trace, ranked
 
 LAGS = {"slow": 0.9, "quick": 0.3, "middle": 0.5}
 NAMES = {name: {"type": "a", "label": f"{name} one"} for name in LAGS}
-BEST_FIRST = ["quick one", "middle one", "slow one"]
+LAGS_RISING = ["quick", "middle", "slow"]
+BEST_FIRST = [f"{name} one" for name in LAGS_RISING]
 KEY = "mean_abs_error.angle [deg]"
 
 
@@ -108,9 +109,9 @@ def test_every_table_has_the_order_of_the_ranking_and_says_whose_each_row_is(
         for body in table.xpath("./tbody"):
             rows = body.xpath("./tr[@data-controller]")
             order = list(dict.fromkeys(row.get("data-controller") for row in rows))
-            assert order == [label for label in BEST_FIRST if label in order], table.get("id")
+            assert order == [key for key in LAGS_RISING if key in order], table.get("id")
             for row in rows:
                 (key,) = row.xpath("./th/i")
                 looks.setdefault(row.get("data-controller"), set()).add((key.get("class"), key.get("style")))
-    assert [len(looks[label]) for label in BEST_FIRST] == [1, 1, 1]
+    assert [len(looks[key]) for key in LAGS_RISING] == [1, 1, 1]
     assert len(set.union(*looks.values())) == 3
