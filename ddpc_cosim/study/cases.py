@@ -605,14 +605,13 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         warm_up_controller=warm_up_controller,
         store=store,
     )
-    return replace(trace, warnings=(*trace.warnings, *_before_time_0(case, controller)))
+    return replace(trace, warnings=(*trace.warnings, *_before_time_0(case, trace)))
 
 
-def _before_time_0(case: Case, controller: Controller | None) -> Iterator[str]:
+def _before_time_0(case: Case, trace: Trace) -> Iterator[str]:
     """Yield what a supplied FMU did before time 0, where what it reads over time may not reach."""
     begins = {"warm-up": case.start_time - case.warm_up}
-    learns = controller is not None and safe_calls.learns_from_recording(controller)
-    if learns and case.recording_start is not None:
+    if trace.recorded_samples and case.recording_start is not None:
         begins["experiment"] = case.recording_start
     for what, begin in begins.items():
         if begin < 0.0 <= case.start_time and not case.plant.name:
