@@ -45,7 +45,7 @@ def plane_figure(condition: Condition, prefix: str) -> Figure | None:
     Rates are differences of samples: (y_k+1 - y_k-1) / (2 h).
     """
     traces = first_runs(condition)
-    drawn = {name: trace for name, trace in traces.items() if len(trace) > 1}
+    drawn = {name: trace for name, trace in traces.items() if len(trace) > 1 and trace.outputs}
     if not drawn:
         return None
     longest = max(drawn.values(), key=len)
@@ -93,7 +93,9 @@ def _rows(trace: Trace, key: str, label: str, x: _Axis, y: _Axis) -> Iterator[di
     """Yield the points of a run, of many those that are even along its line: at rest they are one."""
     values = np.stack([x.values(trace), y.values(trace)], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
-    extent = np.ptp(values, axis=0) if len(values) else np.ones(2)
+    if not len(values):  # an input that is left to the plant is not known
+        return
+    extent = np.ptp(values, axis=0)
     moves = np.diff(values / np.where(extent > 0, extent, 1.0), axis=0)
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*moves.T))])
     kept = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _MOST_POINTS)).clip(max=len(values) - 1))
