@@ -261,6 +261,13 @@ def test_any_lag_goes_with_any_horizon_and_warm_up(horizon: int, lag: int, warm_
         np.testing.assert_array_equal(np.vstack([sample.disturbance, sample.forecast]), truth[rows])
 
 
+@pytest.mark.parametrize("wrong", [{"lag": -1}, {"lag": 0.5}, {"known": "guessed"}, {"signal": 3.0}])
+def test_a_disturbance_in_python_that_cannot_be(wrong: dict[str, Any]) -> None:
+    ((name, _),) = wrong.items()
+    with pytest.raises(ConfigError, match=f"disturbance: {name} = .*; needed: "):
+        KnownDisturbance(**wrong)
+
+
 def test_a_measured_output_is_a_disturbance() -> None:
     station = KnownDisturbance(signal=OUTDOORS, known="perfect")
     conditions = Conditions(inputs={"outdoors": OUTDOORS, "sun": Constant(0.0)})
