@@ -498,18 +498,21 @@ class Controller(ABC):
     def __init_subclass__(cls, **more: Any) -> None:
         """Let ``recording_length`` be an integer, or a method that does not ask for disturbances."""
         super().__init_subclass__(**more)
-        said = cls.__dict__.get("recording_length")
+        owner = next(base for base in cls.__mro__ if "recording_length" in vars(base))
+        if owner is not cls and issubclass(owner, Controller):
+            return
+        said = vars(owner)["recording_length"]
         if isinstance(said, Integral):
 
             def recording_length(self: Self, *signals: int) -> int:
                 return int(said)
 
             cls.recording_length = recording_length  # type: ignore[assignment, method-assign]
-        elif isinstance(said, FunctionType) and not _asks_for_disturbances(said):
+        elif isinstance(said, _METHODS) and not _asks_for_disturbances(said.__get__(object(), cls)):
 
-            @wraps(said)
+            @wraps(said.__get__(object(), cls))
             def of_undisturbed(self: Self, *signals: int) -> Any:
-                return said(self, *signals[:3])
+                return said.__get__(self, type(self))(*signals[:3])
 
             cls.recording_length = of_undisturbed  # type: ignore[assignment, method-assign]
 
@@ -620,10 +623,13 @@ class Controller(ABC):
         return {field.name: to_plain(getattr(self, field.name)) for field in fields(self) if field.init}
 
 
+_METHODS = (FunctionType, staticmethod, classmethod)
+
+
 def _asks_for_disturbances(recording_length: Callable[..., Any]) -> bool:
     """Whether a method takes the number of known disturbances after those of the other signals."""
     try:
-        inspect.signature(recording_length).bind(None, 1, 1, 1, 0)
+        inspect.signature(recording_length).bind(1, 1, 1, 0)
     except TypeError:
         return False
     return True

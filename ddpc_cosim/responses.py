@@ -484,7 +484,7 @@ class Charged:
     price, emission : array, shape (K, n)
         Money, and kg emitted, per amount, in each interval.
     energy : array, shape (n,)
-        kWh per amount; NaN of an amount that is not an energy.
+        kWh per amount; NaN of an amount that is not an energy, or the same one as of a price before it.
     sampling_time : float
         Length of an interval [s].
     """
@@ -531,6 +531,9 @@ class Charged:
         mean[:, is_held] = charged[:rows, is_held]
         rates = np.array([charge.rate for charge in charges])
         energy = np.array([_in_kwh(charge.amount) for charge in charges])
+        used = [(charge.signal, f"{rate:.9g}") for charge, rate in zip(charges, rates * energy, strict=True)]
+        # A tariff and a tax on the same energy are both paid, and it is used once.
+        energy[[i for i, energy_of in enumerate(used) if energy_of in used[:i]]] = np.nan
         money = " + ".join(dict.fromkeys(charge.unit for charge in charges))
         return cls(money, mean * rates * sampling_time, price, emission, energy, sampling_time)
 

@@ -23,6 +23,7 @@ _SPELLINGS = {
 _NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?"
 _PART = re.compile(rf"\s*({_NUMBER})\s*([A-Za-z]+)\s*")
 _DAY = re.compile(r"day\s+(\d{1,3})")
+_DATE = re.compile(r"\d{4}-\d")
 _LARGEST = 1e15  # up to which every whole second is a number
 
 EXPECTED = 'a number of seconds, or a duration such as "15 min", "1 h 30 min" or "14 d"'
@@ -88,8 +89,10 @@ def _moment_in(text: str) -> float:
         return (int(day[1]) - 1) * 86400.0
     try:
         return float(moment_of(datetime.fromisoformat(text)))
-    except ValueError:
-        pass
+    except ValueError as error:
+        if _DATE.match(text):
+            needed = 'must be a date of the calendar, as "2026-01-23" or "2026-01-23T06:00"'
+            raise ValueError(f"{needed}, got {text[:100]!r}: {error}") from error
     try:
         return seconds_of(text)
     except ValueError as error:

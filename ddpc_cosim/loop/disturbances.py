@@ -127,12 +127,13 @@ class ActingDisturbances:
         """Whether what comes after the run is needed for forecasts."""
         return any(disturbance.is_foretold for disturbance in self.declared.values())
 
-    def signals(self, *, in_experiment: bool) -> dict[str, Reference]:
-        """Return the courses of those that are inputs, by what errors call them."""
+    def signals(self, *, in_experiment: bool, foretold: bool) -> dict[str, Reference]:
+        """Return the courses of the inputs with forecasts from them, or without, by what errors call them."""
         courses = dict(self.conditions.inputs)
         if in_experiment:
             courses |= self.conditions.recorded_inputs
-        return {f"disturbances: {name}": courses[name] for name in names(self.inputs)}
+        chosen = [name for name in names(self.inputs) if self.declared[name].is_foretold == foretold]
+        return {f"disturbances: {name}": courses[name] for name in chosen}
 
     def check_unseen(self, experiment: tuple[float, float], run: tuple[float, float]) -> None:
         """Raise ConfigError for disturbances of which an experiment has what is to come in the run.
@@ -206,21 +207,22 @@ class ActingDisturbances:
         times = RunTimes(float(time[0]), self._sampling_time, samples)
         ahead = len(time) - samples
         longest = ahead if self._forecast_horizon is None else self._forecast_horizon
-        truth = np.full((len(time), len(self.told)), np.nan)
+        whole = np.concatenate([time[0] + np.arange(-first, 0) * self._sampling_time, time])
+        truth = np.full((len(whole), len(self.told)), np.nan)
         forecasts, lags = list[Forecasts | None](), list[int]()
         for i, variable in enumerate(self.told):
             disturbance = self.declared[variable.name]
             if variable in self.inputs:
-                course = self._courses[first : first + len(time), self.inputs.index(variable)]
+                course = self._courses[: len(truth), self.inputs.index(variable)]
                 truth[: len(course), i] = course
             elif disturbance.signal is not None:
                 signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
-                truth[:, i] = values_at(signal, what, time)
+                truth[:, i] = values_at(signal, what, whole)
             lags.append(disturbance.lag)
             if is_before and disturbance.forecast is not None:
                 forecasts.append(None)
                 continue
             seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
             rng = np.random.default_rng(seed)
-            forecasts.append(disturbance.forecasts(variable, truth[:, i], times, longest, rng))
-        return Expected(forecasts, lags, truth)
+            forecasts.append(disturbance.forecasts(variable, truth[first:, i], times, longest, rng))
+        return Expected(forecasts, lags, truth, first)

@@ -170,13 +170,16 @@ class Expected(NamedTuple):
         Of each disturbance; None: what is measured is held.
     lags : sequence of int
         By how many samples each is measured late.
-    truth : array, shape (N, n_d)
-        What each will be, NaN where that is not known.
+    truth : array, shape (B + N, n_d)
+        What each was at the samples of a warm-up, and what it will be, NaN where that is not known.
+    before : int
+        B, the number of these samples before the first one of the run.
     """
 
     forecasts: Sequence[Forecasts | None]
     lags: Sequence[int]
     truth: FloatArray
+    before: int
 
     def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
         """Return what is expected to be measured at the samples after k, shape (samples, n_d)."""
@@ -184,10 +187,10 @@ class Expected(NamedTuple):
         for i, (forecasts, lag) in enumerate(zip(self.forecasts, self.lags, strict=True)):
             if forecasts is None:
                 continue
-            late = min(lag, samples)
-            before = self.truth[max(k + 1 - lag, 0) : k + 1 - lag + late, i]
-            if before.size and np.isfinite(before).all():
-                expected[late - len(before) : late, i] = before
+            late, first = min(lag, samples), self.before + k + 1 - lag
+            passed = self.truth[max(first, 0) : max(first + late, 0), i]
+            if passed.size and np.isfinite(passed).all():
+                expected[late - len(passed) : late, i] = passed
             expected[late:, i] = forecasts.after(k, samples - late)
         return expected
 

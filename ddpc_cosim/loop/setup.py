@@ -329,8 +329,12 @@ class LoopSetup:
             for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
         prices = {} if in_experiment else self.charged.signals
-        signals = self.disturbances.signals(in_experiment=in_experiment)
-        faults += _gaps(signals | prices, float(whole[0]), float(whole[-1]))
+        of_run, ahead_of_run = (
+            self.disturbances.signals(in_experiment=in_experiment, foretold=foretold)
+            for foretold in (False, True)
+        )
+        faults += _gaps(of_run, float(whole[0]), float(time[-1]))
+        faults += _gaps(ahead_of_run | prices, float(whole[0]), float(whole[-1]))
         if faults:
             raise ConfigError(faults)
         self.actuators.start(whole, ahead=ahead, in_experiment=in_experiment, continues=continues)

@@ -14,7 +14,7 @@ import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -181,6 +181,10 @@ class KnownDisturbance(Section):
         faults = []
         if not (self.signal is None or isinstance(self.signal, Reference)):
             faults.append(f"disturbance: signal = {self.signal!r}; needed: a signal of time")
+        if self.known not in get_args(Knowledge):
+            faults.append(f"disturbance: known = {self.known!r}; needed: one of {get_args(Knowledge)}")
+        if not isinstance(self.lag, int) or self.lag < 0:
+            faults.append(f"disturbance: lag = {self.lag!r}; needed: a number of samples, 0 or more")
         if self.forecast is not None and self.known in ("unknown", "perfect"):
             faults.append(f'disturbance: a file of forecasts does not go with known = "{self.known}"')
         if faults:

@@ -10,7 +10,10 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import setting
 from ddpc_cosim.signals.signals import Reference, ReferenceSignal, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable
-from fmu_plants.units import display_unit
+from fmu_plants.units import display_unit, parse_unit
+
+_MONEY_AND_UNIT = frozenset({"ct"})
+"""Names of moneys that are units as well: cents, and centitonnes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,15 +81,27 @@ class Price(Section):
         Raises
         ------
         ConfigError
-            Its unit over time is not that of the amount.
+            The price is not money per amount, or the unit of the signal over time is not the amount's.
         """
         over_time = f"{variable.unit}.s" if variable.unit not in ("", "1") else "s"
+        if not _is_money(self.money):
+            needed = f'needed: money per amount, as "EUR/{over_time}" or, of a power, "EUR/kWh"'
+            raise ConfigError(f'a price in "{self.unit}" is not one in money; {needed}')
         try:
             rate = display_unit(over_time, self.amount).factor
         except ValueError as error:
             what = f'a price in "{self.unit}" does not fit {self.signal}: {variable.unit or 1} over time'
-            raise ConfigError(f"{what} is not an amount in {self.amount}") from error
+            needed = f'needed: as "{self.money}/{over_time}", or in another unit of the same amounts'
+            raise ConfigError(f"{what} is not an amount in {self.amount}; {needed}") from error
         return Charge(name, self.signal, rate * self.factor, self.money, self.known, self.amount)
+
+
+def _is_money(name: str) -> bool:
+    """Return whether a name can be that of a money: it is not one of a physical unit."""
+    try:
+        return bool(name) and (name in _MONEY_AND_UNIT or not parse_unit(name).exponents)
+    except ValueError:
+        return True
 
 
 def _values(variable: Variable, signal: float | Reference, what: str, time: FloatArray) -> FloatArray:

@@ -111,10 +111,10 @@ class Disturbances:
         known = dict[str, KnownDisturbance]()
         for name, section in self._sections.items():
             signal = None if name in self.of_inputs else self.signals.get(name)
-            disturbance = replace(section, signal=signal)
-            if (level := self.study.scenarios[scenario].known.get(name)) is not None:
-                disturbance = replace(disturbance, known=level, forecast=None)
-            known[name] = disturbance
+            level = self.study.scenarios[scenario].known.get(name)
+            is_replaced = level is not None or (*_DISTURBANCES, name) in self.errors.found
+            forecast = None if is_replaced else section.forecast
+            known[name] = replace(section, signal=signal, known=level or section.known, forecast=forecast)
         return known
 
     def count(self, scenario: str) -> int:
@@ -128,24 +128,32 @@ class Disturbances:
         signals = {name: signal for name, signal in self.signals.items() if name in self.of_inputs}
         return signals | {name: s for name, s in scenario_inputs.items() if name in self.of_inputs}
 
-    def _said(self) -> Iterator[tuple[Place, Reference | None, str]]:
-        """Yield each signal that is said: where, what, and in what it acts."""
+    def _said(self) -> Iterator[tuple[Place, Reference | None, str, bool]]:
+        """Yield each signal that is said: where, what, in what it acts, and whether it is told ahead."""
         recorded = {} if self.study.recording is None else self.study.recording.disturbances
+        scenarios = self.study.scenarios
+        foretold = {
+            scenario: {n for n, d in self.of(scenario).items() if d.is_foretold} for scenario in scenarios
+        }
         for name in self.variables:
             acts_in = "both" if name in self.of_inputs and name not in recorded else "run"
-            yield (*_DISTURBANCES, name, "signal"), self._sections[name].signal, acts_in
-            for scenario, section in self.study.scenarios.items():
-                yield ("scenarios", scenario, "inputs", name), section.inputs.get(name), acts_in
-            yield (*_RECORDED, name), recorded.get(name), "experiment"
+            is_ahead = any(
+                name in foretold[scenario] - {*scenarios[scenario].inputs} for scenario in scenarios
+            )
+            yield (*_DISTURBANCES, name, "signal"), self._sections[name].signal, acts_in, is_ahead
+            for scenario, section in scenarios.items():
+                place = ("scenarios", scenario, "inputs", name)
+                yield place, section.inputs.get(name), acts_in, name in foretold[scenario]
+            yield (*_RECORDED, name), recorded.get(name), "experiment", False
 
     @independent
     def _check_reach(self) -> None:
         """Report files that end before the run and its forecasts do, or begin after the experiment."""
         loop = self.study.loop
-        begin, end = loop.start_time - loop.warm_up, loop.end + self._horizon * loop.sampling_time
+        begin, ahead = loop.start_time - loop.warm_up, self._horizon * loop.sampling_time
         experiment = self._experiment()
-        for place, signal, acts_in in self._said():
-            first, last = begin, end
+        for place, signal, acts_in, is_ahead in self._said():
+            first, last = begin, loop.end + ahead * is_ahead
             if experiment is not None and acts_in == "experiment":
                 first, last = experiment[0], experiment[1] - loop.sampling_time
             elif experiment is not None and acts_in == "both":
@@ -153,6 +161,9 @@ class Disturbances:
             check_reach(self._selected, place, signal, first, last)
         for name, variable in self.variables.items():
             self._check_forecast(name, variable)
+            if (lag := self._sections[name].lag) > loop.steps:
+                what = f"{lag} samples are too many: the run has {loop.steps + 1}; choose a shorter lag"
+                self.errors.add((*_DISTURBANCES, name, "lag"), what, ("loop",))
 
     @independent
     def _check_forecast(self, name: str, variable: Variable) -> None:

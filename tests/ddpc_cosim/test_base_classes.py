@@ -174,6 +174,29 @@ class Disturbed(Counted):
         return super().recording_length(inputs, outputs, measurements, disturbances) + 5 * disturbances
 
 
+class Static(Proportional):
+    @staticmethod
+    def recording_length(inputs: int, outputs: int, measurements: int) -> int:  # type: ignore[override]
+        return 9 * inputs
+
+
+class OfClass(Proportional):
+    @classmethod
+    def recording_length(cls, inputs: int, outputs: int, measurements: int) -> int:  # type: ignore[override]
+        return 9 * inputs
+
+
+class Lengths:
+    """A mixin, which knows nothing of controllers."""
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        return 9 * inputs
+
+
+class Mixed(Lengths, Proportional):
+    pass
+
+
 class Derived(Fixed):
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         return 2 * super().recording_length(inputs, outputs, measurements)
@@ -188,7 +211,17 @@ def test_a_recording_length_is_any_integer_or_declared_as_one(kind: type[Control
 
 
 @pytest.mark.parametrize(
-    ("kind", "samples"), [(Fixed, 40), (Counted, 18), (Derived, 80), (Proportional, 0), (Disturbed, 33)]
+    ("kind", "samples"),
+    [
+        (Fixed, 40),
+        (Counted, 18),
+        (Derived, 80),
+        (Proportional, 0),
+        (Disturbed, 33),
+        (Static, 18),
+        (OfClass, 18),
+        (Mixed, 18),
+    ],
 )
 def test_who_does_not_ask_for_disturbances_needs_no_more_for_them(
     kind: type[Controller], samples: int

@@ -124,19 +124,27 @@ def _front(findings: Findings, controllers: Labels, over: str, show: Show) -> Ma
     """Say who is not dominated, who of them is cheapest, and who the most comfortable."""
     ranking, name = findings.standings, bold if findings.is_sure else italic
     who = some_of([name(controllers[key]) for key in findings.leaders])
-    praise: dict[str, list[str]] = {findings.leaders[0]: ["cheapest"]}
+    first, *others = findings.leaders
+    praise: dict[str, list[str]] = {first: ["cheapest"]}
     for key in ranking.discomforts:
         samples = ranking.samples[key]
         best = min(findings.leaders, key=lambda leader: samples[leader].median)
+        if best != first and ranking.is_too_small(key, first, best):
+            best = first
         of = f" in {split_key(key)[1]}" if len(ranking.discomforts) > 1 else ""
         praise.setdefault(best, []).append(f"the most comfortable{of}")
-    parts = [
-        Markup("{} is {} ({})").format(
-            italic(controllers[leader]), join_words(words), _figures(findings, leader, show)
-        )
-        for leader, words in praise.items()
-    ]
-    text = Markup("{} are not dominated {}: {}").format(who, over, Markup(", ").join(parts))
+    keys = dict.fromkeys((*ranking.keys, *ranking.discomforts))
+    text = Markup("{} are not dominated {}").format(who, over)
+    if all(ranking.is_too_small(key, first, other) for key in keys for other in others):
+        text += f", and differ by too little to matter ({_figures(findings, first, show)})"
+    else:
+        parts = [
+            Markup("{} is {} ({})").format(
+                italic(controllers[leader]), join_words(words), _figures(findings, leader, show)
+            )
+            for leader, words in praise.items()
+        ]
+        text += Markup(": {}").format(Markup(", ").join(parts))
     if not (other := findings.following):
         return text
     gains = []

@@ -381,7 +381,7 @@ class Standings:
 
     def worse_in(self, key: str, a: str, b: str) -> str:
         """Return the worse of two controllers without failed runs in a metric; nothing where neither is."""
-        if self._too_small(key, a, b):
+        if self.is_too_small(key, a, b):
             return ""
         if self.tested:
             differences = self.compared[key].differences
@@ -393,7 +393,7 @@ class Standings:
             return ""
         return a if values[0] > values[1] else b
 
-    def _too_small(self, key: str, a: str, b: str) -> bool:
+    def is_too_small(self, key: str, a: str, b: str) -> bool:
         """Return whether a difference is below what matters, or below what is printed of the medians."""
         medians = self._medians(key, a, b)
         if any(map(math.isnan, medians)):  # without a run that both have, nothing is known of a difference

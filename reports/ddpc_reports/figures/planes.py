@@ -93,7 +93,7 @@ def _rows(trace: Trace, key: str, label: str, x: _Axis, y: _Axis) -> Iterator[di
     """Yield the points of a run, of many those that are even along its line: at rest they are one."""
     values = np.stack([x.values(trace), y.values(trace)], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
-    if not len(values):
+    if not len(values):  # an input that is left to the plant is not known
         return
     extent = np.ptp(values, axis=0)
     moves = np.diff(values / np.where(extent > 0, extent, 1.0), axis=0)

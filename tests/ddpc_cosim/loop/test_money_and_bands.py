@@ -149,6 +149,20 @@ def test_a_measured_signal_is_a_line_from_sample_to_sample() -> None:
     )
 
 
+def test_energy_that_two_prices_are_paid_for_is_used_once() -> None:
+    """A tariff and a tax, in EUR/kWh and EUR/MWh; heat, of which a third is paid for, is another energy."""
+    charges = [
+        Charge("tariff", "power", 1 / 3.6e6, "EUR", known=True, amount="kWh"),
+        Charge("tax", "power", 1 / 3.6e9, "EUR", known=True, amount="MWh"),
+        Charge("heat", "power", 1 / 3 / 3.6e6, "EUR", known=True, amount="kWh"),
+    ]
+    watts, prices = np.full((4, 3), 6000.0), np.tile([0.2, 50.0, 0.3], (4, 1))
+    what = Charged.of(charges, watts, {"power"}, prices, np.zeros((4, 3)), 900.0)
+    assert what.total_energy() == pytest.approx(6.0 + 2.0)
+    assert what.peak() == pytest.approx(6.0 + 2.0)
+    assert what.total(what.price) == pytest.approx(6.0 * 0.2 + 6e-3 * 50.0 + 2.0 * 0.3)
+
+
 def test_there_are_figures_of_what_is_paid_for_where_there_are_prices_and_what_they_are_of() -> None:
     run = banded([21.0] * 4, 20.0, 24.0)
     figures = {"money", "energy", "emissions", "peak"}

@@ -246,6 +246,28 @@ def test_a_lag_shows_the_interval_before_and_the_forecast_goes_on_from_it() -> N
         np.testing.assert_array_equal(sample.forecast, truth[k : k + HORIZON])
 
 
+@pytest.mark.parametrize("horizon", [0, 1, 3, 8])
+@pytest.mark.parametrize("lag", [1, 2, 5])
+@pytest.mark.parametrize("warm_up", [0, 4, 7])
+def test_any_lag_goes_with_any_horizon_and_warm_up(horizon: int, lag: int, warm_up: int) -> None:
+    """What is measured at t_j is of t_j-lag, back to the first sample that was ever measured."""
+    keeper, before = Keeper(horizon=horizon), Keeper(horizon=1)
+    run(keeper, disturbances=both("perfect", lag=lag), warm_up=warm_up * H, warm_up_controller=before)
+    run(Learner(horizon=horizon), disturbances=both("perfect", lag=lag), excitation=EXCITATION)
+    times = START + np.arange(-warm_up, STEPS + horizon + 1) * H
+    truth = np.column_stack([OUTDOORS.at(times), SUN.at(times)])
+    for k, sample in enumerate(keeper.seen):
+        rows = np.maximum(warm_up + k + np.arange(horizon + 1) - lag, 0)
+        np.testing.assert_array_equal(np.vstack([sample.disturbance, sample.forecast]), truth[rows])
+
+
+@pytest.mark.parametrize("wrong", [{"lag": -1}, {"lag": 0.5}, {"known": "guessed"}, {"signal": 3.0}])
+def test_a_disturbance_in_python_that_cannot_be(wrong: dict[str, Any]) -> None:
+    ((name, _),) = wrong.items()
+    with pytest.raises(ConfigError, match=f"disturbance: {name} = .*; needed: "):
+        KnownDisturbance(**wrong)
+
+
 def test_a_measured_output_is_a_disturbance() -> None:
     station = KnownDisturbance(signal=OUTDOORS, known="perfect")
     conditions = Conditions(inputs={"outdoors": OUTDOORS, "sun": Constant(0.0)})

@@ -224,6 +224,22 @@ def test_a_file_that_begins_late_or_ends_early(
     assert "; needed: from " in faults[0]
 
 
+@pytest.mark.parametrize(("known", "faults"), [("measured", 0), ("unknown", 0), ("perfect", 1), ("low", 1)])
+def test_a_file_has_to_reach_beyond_the_run_for_forecasts_only(
+    known: str, faults: int, tmp_path: Path
+) -> None:
+    of_files(tmp_path, weather={"time": [BEGIN, 86400.0 + 3 * 3600.0], "T": [1.0, 2.0]})
+    signal = {"signal": outdoors(interpolation="linear"), "known": "measured"}
+    study = house(
+        disturbances__outdoor_temperature=signal, scenarios__blind__known__outdoor_temperature=known
+    )
+    assert len(errors_of(study, tmp_path)) == faults
+    of_scenario = {"outdoor_temperature": outdoors(interpolation="linear")}
+    study["disturbances"]["outdoor_temperature"]["signal"] = SINE
+    study["scenarios"]["blind"]["inputs"] = of_scenario
+    assert len(errors_of(study, tmp_path)) == faults
+
+
 def test_a_price_from_a_file_covers_the_run_and_the_horizon(tmp_path: Path) -> None:
     price = {"kind": "file", "file": "tariff.csv", "column": "spot"}
     of_files(tmp_path, tariff={"time": [86400.0 - 3600.0, END], "spot": [0.1, 0.2]})
@@ -329,6 +345,14 @@ SINE = HOUSE["disturbances"]["outdoor_temperature"]["signal"]
             'disturbances.solar_irradiance.signal.unit: unit "degC" does not fit solar_irradiance',
         ),
         (
+            {"disturbances__solar_irradiance__lag": 13},
+            "disturbances.solar_irradiance.lag: 13 samples are too many: the run has 13; choose a ",
+        ),
+        (
+            {"loop__start_time": "2026-02-30"},
+            'loop.start_time: must be a date of the calendar, as "2026-01-23" or "2026-01-23T06:00", got ',
+        ),
+        (
             {"scenarios__blind__known": {"outdor_temperature": "unknown"}},
             'scenarios.blind.known: no known disturbance "outdor_temperature"; did you mean ',
         ),
@@ -389,6 +413,17 @@ SINE = HOUSE["disturbances"]["outdoor_temperature"]["signal"]
             'prices.heat.unit: a price in "EUR/m3" does not fit heating_power: W over time is not an amount',
         ),
         (
+            {"prices__heat__unit": "EUR"},
+            'prices.heat.unit: a price in "EUR" does not fit heating_power: W over time is not an amount',
+        ),
+        *(
+            (
+                {"prices__heat__unit": unit},
+                f'prices.heat.unit: a price in "{unit}" is not one in money; needed: money per amount',
+            )
+            for unit in ("W/kWh", "kg/kWh", "/kWh", "")
+        ),
+        (
             {"prices__gas": {"signal": "heating_power", "price": 1.0, "unit": "CHF/kWh"}},
             "prices.gas.unit: is in CHF, and heat in EUR; needed: one money for all prices of a problem",
         ),
@@ -440,6 +475,19 @@ def test_what_does_not_fit_is_said_at_its_place_and_once(
     faults = errors_of(house(**changes), tmp_path)
     assert len(faults) == 1, faults
     assert faults[0].startswith(fault)
+
+
+def test_a_file_of_forecasts_that_contradicts_what_is_known_hides_no_other_fault(tmp_path: Path) -> None:
+    changes = {"disturbances__outdoor_temperature__forecast": {"file": "none.csv"}}
+    faults = errors_of(
+        house(**changes, disturbances__outdoor_temperature__known="perfect", loop__warm_up="4 h"), tmp_path
+    )
+    too_long, contradicts, missing = sorted(faults, key=lambda fault: "disturbances" in fault)
+    assert contradicts.startswith(
+        "disturbances.outdoor_temperature: disturbance: a file of forecasts does not"
+    )
+    assert missing.startswith("disturbances.outdoor_temperature.forecast.file: ")
+    assert too_long.startswith("loop.warm_up: ")
 
 
 def test_all_faults_are_said_at_once(tmp_path: Path) -> None:

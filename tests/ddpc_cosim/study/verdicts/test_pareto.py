@@ -179,6 +179,17 @@ def test_who_has_a_failed_run_comes_after_all_fronts() -> None:
             "<b>B</b> and <b>A</b> are not dominated over 12 seeds: <i>B</i> is cheapest "
             "(41 EUR, 12 K.h), <i>A</i> is the most comfortable (55 EUR, 1 K.h)",
         ),
+        (
+            {"a": (41.003, 12.0), "b": (41.0, 12.003)},
+            Lead.FRONT,
+            "<b>A</b> and <b>B</b> are not dominated over 12 seeds, and differ by too little to matter "
+            "(41 EUR, 12 K.h)",
+        ),
+        (
+            {"a": (55.0, 12.0), "b": (41.0, 12.003), "c": (48.0, 12.002)},
+            Lead.AHEAD,
+            "<b>B</b> costs 15 % less than <i>C</i> at no more K.h over 12 seeds",
+        ),
     ],
 )
 def test_what_is_said_of_money_and_discomfort(points: Points, lead: Lead, clause: str) -> None:
