@@ -639,7 +639,7 @@ class _Part:
         ]
 
     def _planes(self, condition: Condition, prefix: str) -> list[Block]:
-        return _figures([plane_figure(condition, prefix)] if condition in self.budget.spread else [], prefix)
+        return _figures([plane_figure(condition, prefix)] if condition in self.budget.drawn else [], prefix)
 
     def _step_times(self, condition: Condition, prefix: str) -> list[Block]:
         if not condition.controllers:

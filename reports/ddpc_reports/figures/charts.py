@@ -403,7 +403,7 @@ def plane_chart(rows: list[dict[str, Any]], titles: Sequence[str], width: int) -
     Parameters
     ----------
     rows : list of dict
-        ``x``, ``y``, ``key`` and ``i``, the place along the line, from 0.
+        ``x``, ``y`` and ``key``, in the order of the line; ``begins`` of the first of a key.
     titles : sequence of str
         What the axes are.
     width : int
@@ -413,8 +413,8 @@ def plane_chart(rows: list[dict[str, Any]], titles: Sequence[str], width: int) -
     x, y = (field(side, title) | scaled for side, title in zip("xy", titles, strict=True))
     names = list(dict.fromkeys(row["key"] for row in rows))
     place = {"x": x, "y": y, "color": colours_of(names)}
-    begins = {"filter": "datum.i == 0"}
-    along = {"strokeDash": dashes_of(names), "order": {"field": "i", "type": "quantitative"}}
+    begins = {"filter": "datum.begins"}
+    along = {"strokeDash": dashes_of(names), "order": {"value": None}}  # that of the rows
     layers = [
         layer({"type": "line", "strokeWidth": 1.3}, place | along, None, _NOT_HIDDEN),
         layer({"type": "circle", "size": 40, "opacity": 1}, place, None, _NOT_HIDDEN, begins),

@@ -100,8 +100,8 @@ def _rows(trace: Trace, key: str, label: str, x: _Axis, y: _Axis) -> Iterator[di
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*moves.T))])
     kept = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _MOST_POINTS)).clip(max=len(values) - 1))
     for i, (a, b) in enumerate(values[kept].tolist()):
-        row = {"key": key, "i": i, "x": float(f"{a:.5g}"), "y": float(f"{b:.5g}")}
+        row: dict[str, Any] = {"key": key, "x": float(f"{a:.4g}"), "y": float(f"{b:.4g}")}
         if not i:
             start = f"{with_unit(significant(a, 3), x.unit)}, {with_unit(significant(b, 3), y.unit)}"
-            row |= {"label": clipped(label), "text": f"{clipped(label)}, from {start}"}
+            row |= {"begins": True, "label": clipped(label), "text": f"{clipped(label)}, from {start}"}
         yield row
