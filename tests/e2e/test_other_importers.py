@@ -93,7 +93,9 @@ def controller_fmu(case: Case, path: Path, fmi_version: str) -> tuple[Path, list
     export_controller(controller, loop, path, fmi_version)
     inputs = [v.name for v in read_model_description(path).modelVariables if v.causality == "input"]
     asked = [name for name in inputs if name.startswith(("setpoint.", "reference."))]
-    return path, [name for name in inputs if name not in asked], asked
+    # What takes over from another controller is left as it is: this one is active from the start.
+    of_hand_over = [name for name in inputs if name == "active" or name.startswith("applied.")]
+    return path, [name for name in inputs if name not in (*asked, *of_hand_over)], asked
 
 
 @pytest.mark.parametrize(("study", "name"), CONTROLLERS)

@@ -85,15 +85,15 @@ def test_the_reader_chooses_whom_others_are_told_against(
     given = browser.execute_script(ROWS, "s1-ranking")
     assert browser.execute_script(HEADS, "s1-ranking")[3] == "against slow one"
     assert [row[3] for row in given][1] == "baseline"
-    assert given[0][2].endswith("% better")
-    assert given[0][2].startswith("\N{MINUS SIGN}")
+    assert given[0][3].endswith("% better")
+    assert given[0][3].startswith("\N{MINUS SIGN}")
     choose = Select(element(browser, ".against select"))
     choose.select_by_visible_text("quick one")
     rows = browser.execute_script(ROWS, "s1-ranking")
-    assert browser.execute_script(HEADS, "s1-ranking")[2] == "against quick one"
-    assert rows[0][2] == "baseline"
+    assert browser.execute_script(HEADS, "s1-ranking")[3] == "against quick one"
+    assert rows[0][3] == "baseline"
     assert [(row[3][:1], row[3].rpartition("\xa0")[2]) for row in rows[1:]] == [("+", "% worse")] * 2
-    assert [row[3:] for row in rows] == [row[3:] for row in given]
+    assert [row[4:] for row in rows] == [row[4:] for row in given]
     choose.select_by_index(0)
     assert browser.execute_script(HEADS, "s1-ranking")[3] != "against"
     choose.select_by_visible_text("slow one")

@@ -99,8 +99,8 @@ def levels(traces: Mapping[str, Trace], labels: Mapping[str, str], clock: Clock,
 
 
 def first_outputs(condition: Condition) -> Signal | None:
-    """Return the first controlled output of the first seed; None without any run."""
-    traces = first_runs(condition)
+    """Return the first controlled output of the first seed; None without any."""
+    traces = {name: trace for name, trace in first_runs(condition).items() if trace.outputs}
     if not traces:
         return None
     labels = {column_name(controller): clipped(controller.label) for controller in condition.controllers}

@@ -173,6 +173,7 @@ REPORT: dict[str, Any] = {
     "author": "Its author",
     "comment": "It is short.",
     "logo": "logo.svg",
+    "scenario": "nominal",
     "baseline": "pid",
     "claims": [
         {"text": "PID is best", "metric": "rmse.angle", "lowest": "mfapc"},
