@@ -294,7 +294,7 @@ class Trace:
 
         Parameters
         ----------
-        others : Trace
+        *others : Trace
             Runs that are drawn along.
         labels : sequence of str
             What the runs are called, this one first; default: run 1, run 2, ...

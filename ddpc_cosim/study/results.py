@@ -371,7 +371,7 @@ class StudyResults:
 
         Parameters
         ----------
-        controllers : str
+        *controllers : str
             By names or labels; default: all.
         problem, scenario : str
             Not needed where there is one.
@@ -398,7 +398,9 @@ class StudyResults:
         ----------
         metric : str
             A column of :meth:`frame`, its unit may be left out; default: what the ranking is by.
-        controllers, problem, scenario : str
+        *controllers : str
+            By names or labels; default: all.
+        problem, scenario : str
             As in :meth:`plot`.
 
         Raises
