@@ -40,9 +40,15 @@ class _Quiet(SimpleHTTPRequestHandler):
         """Say nothing of each request."""
 
 
+def _pages(site: Path) -> list[Path]:
+    """Return the pages of a site, without what its build keeps for itself."""
+    pages = (path for path in site.rglob("*.html") if ".doctrees" not in path.parts)
+    return sorted(pages)
+
+
 def dead_links(site: Path) -> Iterator[str]:
     """Yield every link of a page of the site to a file or a place that the site does not have."""
-    trees = {path: html.parse(path) for path in sorted(site.rglob("*.html"))}
+    trees = {path: html.parse(path) for path in _pages(site)}
     places = {path: {*tree.xpath("//@id"), *tree.xpath("//a/@name")} for path, tree in trees.items()}
     for path, tree in trees.items():
         for link in dict.fromkeys(tree.xpath("//@href | //@src")):
@@ -86,7 +92,7 @@ def faults_of(pages: Sequence[str], address: str) -> list[str]:
 def main(site: Path, pages: Sequence[str]) -> int:
     """Print what is at fault with a site, and return 1 if anything is."""
     site = site.resolve()
-    pages = pages or [path.relative_to(site).as_posix() for path in sorted(site.rglob("*.html"))]
+    pages = pages or [path.relative_to(site).as_posix() for path in _pages(site)]
     browsers = os.cpu_count() or 1
     with (
         ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(site))) as server,

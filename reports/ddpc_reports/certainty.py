@@ -29,20 +29,24 @@ _NOTES = (
     "told apart at 5\u00a0% share a letter.",
 )
 
+_MOST_ROWS = 15
+"""Of a table that stands open."""
+
 
 def certainty_tables(condition: Condition, prefix: str) -> list[Table]:
     """Return the medians and what sets them apart, a row per controller and metric; none for one seed.
 
-    What controllers are ranked by has a table, the other metrics one that is folded.
+    What controllers are ranked by has a table, folded if it is long; the other metrics one that is folded.
     """
     if len(condition.seeds) < 2:
         return []
     more = [key for name in RANKED_BY for key in condition.keys(name)]
     over = f"over {len(condition.seeds)} seeds, and what they tell apart"
+    is_long = len(condition.headline) * len(condition.controllers) > _MOST_ROWS
     return [
         table
         for table in (
-            _table(condition, condition.headline, f"Medians {over}", f"{prefix}sure"),
+            _table(condition, condition.headline, f"Medians {over}", f"{prefix}sure", " folded" * is_long),
             _table(condition, more, f"Medians of other metrics {over}", f"{prefix}more", " folded"),
         )
         if table.rows

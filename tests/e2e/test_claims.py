@@ -193,7 +193,7 @@ def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(cl
     assert f"{labels['wkpc']} has \N{MINUS SIGN}{-wide['min']:.0f} … {wide['max']:.0f}°" in rest["Limits"]
     assert f"have \N{MINUS SIGN}{-narrow['min']:.0f} … {narrow['max']:.0f}°" in rest["Limits"]
     assert f"{labels['wkpc']} uses {', '.join(study['plant']['measurements'])}" in rest["Measurements"]
-    learning = f"{labels['deepc']} and {labels['wkpc']} learn from a recording of"
+    learning = f"{labels['wkpc']} and {labels['deepc']} learn from a recording of"
     assert f"{learning} {study['recording']['samples']} samples" in rest["Recording"]
     sources = {name: study["controllers"][name]["tuned"]["source"] for name in METHODS}
     assert sources["deepc"] == sources["wkpc"]

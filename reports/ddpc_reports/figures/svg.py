@@ -20,7 +20,7 @@ _PARTS = 2
 """Parts of a pixel in which lines are written."""
 _UNSEEN = 1.0
 """Of these parts, by how much a line may pass by its samples."""
-_BEYOND = 0.15
+_BEYOND = 0.03
 """Of the height, how far lines are drawn beyond the edge that cuts them off."""
 _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e5, 1e-3
 

@@ -46,7 +46,7 @@ def test_a_run_that_ended_early_has_a_shorter_line() -> None:
 
 def test_what_leaves_the_picture_goes_a_little_beyond_its_edge() -> None:
     (_, top), (_, bottom) = corners(line_path(FRAME, [0.0, 10.0], [1e9, -1e9]))
-    assert (top, bottom) == (-7.5, 57.5)
+    assert (top, bottom) == (-1.5, 51.5)
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=60))
