@@ -198,7 +198,7 @@ def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(cl
     sources = {name: study["controllers"][name]["tuned"]["source"] for name in METHODS}
     assert sources["deepc"] == sources["wkpc"]
     assert rest["Tuning"] == (
-        f"{labels['mfapc']} has settings from {sources['mfapc']}; "
-        f"{labels['deepc']} and {labels['wkpc']} have settings from {sources['wkpc']}."
+        f"{labels['wkpc']} and {labels['deepc']} have settings from {sources['wkpc']}; "
+        f"{labels['mfapc']} has settings from {sources['mfapc']}."
     )
     assert "The same for all" not in rest
