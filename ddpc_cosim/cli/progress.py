@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from importlib import import_module
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
@@ -230,27 +231,36 @@ class TerminalProgress:
 
 
 class NotebookProgress(LineProgress):
-    """What is being done: one line of a notebook, which is written over, and is gone at the end."""
+    """What is being done: one output of a notebook's cell, which is replaced, and is empty at the end."""
 
     def __init__(self, text: str = "preparing") -> None:
         super().__init__(sys.stderr, text)
-        self._width = 0
+        self._display = import_module("IPython.display").display
+        self._output: Any = None
 
     def __exit__(self, *error: Any) -> None:
         super().__exit__(*error)
-        print("\r" + " " * self._width, end="\r", file=self._stream, flush=True)
+        self._write("")
 
     def _write(self, line: str) -> None:
-        print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
-        self._width = len(line)
+        data = {"text/plain": line}
+        if self._output is not None:
+            self._output.update(data, raw=True)
+        elif line:
+            self._output = self._display(data, raw=True, display_id=True)
+
+
+def _is_in_notebook() -> bool:
+    """Whether this process serves a notebook, whose outputs are no lines of a stream."""
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
 
 
 def display(text: str) -> LineProgress | TerminalProgress:
-    """Return a display of long work on stderr, with a text to begin with."""
-    if sys.stderr.isatty():
-        return TerminalProgress(text)
-    in_notebook = "ipykernel" in sys.modules
-    return NotebookProgress(text) if in_notebook else LineProgress(sys.stderr, text)
+    """Return a display of long work on stderr, or in a notebook, with a text to begin with."""
+    if _is_in_notebook():
+        return NotebookProgress(text)
+    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from io import StringIO
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ddpc_cosim.files.texts import csv_text, encodable, recorded
+from ddpc_cosim.files.texts import csv_text, encodable, printable, recorded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,8 +192,20 @@ class Table:
         rows = [[row.header, *(cell.value for cell in row.cells)] for row in self.rows]
         return pd.DataFrame(rows, columns=[heading.words for heading in self.headings])
 
+    def __repr__(self) -> str:
+        return self.text
+
     def _repr_html_(self) -> str:
         return self.html
+
+    @property
+    def text(self) -> str:
+        """The table for a terminal: its caption, and columns as wide as they need to be."""
+        cells = [[heading.words for heading in self.headings]]
+        cells += [[row.header, *(cell.text for cell in row.cells)] for row in self.rows]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
+        return "\n".join(map(printable, [*filter(None, [self.caption]), *lines]))
 
     @property
     def html(self) -> str:

@@ -52,6 +52,7 @@ from ddpc_cosim.loop.setup import (
     WARM_UP_STREAM,
     LoopSetup,
     check_events,
+    check_kinds,
     end_time,
     excitation_table,
     whole_steps,
@@ -205,6 +206,23 @@ def cosimulate(
         What can be known before the first sample: settings, signals and data that do not fit, a parameter
         change after the end of the run, a plant that cannot be initialised.
     """
+    check_kinds(
+        reference=reference,
+        excitation=excitation,
+        stabiliser=stabiliser,
+        recording=recording,
+        bounds=bounds,
+        noise=noise,
+        conditions=conditions,
+        events=events,
+        disturbances=disturbances,
+        recorded_disturbances=recorded_disturbances,
+        recording_start=recording_start,
+        forecast_horizon=forecast_horizon,
+        prices=prices,
+        warm_up=warm_up,
+        warm_up_controller=warm_up_controller,
+    )
     signals = (outputs, measurements, bounds, noise, conditions)
     setup = LoopSetup(
         plant,
@@ -220,7 +238,7 @@ def cosimulate(
         forecast_horizon=forecast_horizon,
     )
     is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
-    wanted = {} if is_open_loop else setup.wanted(reference)
+    wanted = {} if is_open_loop else setup.wanted({} if reference is None else reference)
     steps = whole_steps(duration, sampling_time)
     end = end_time(start_time, steps, sampling_time)
     check_events(events, end)
@@ -369,6 +387,17 @@ def record(
 
     Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
     """
+    check_kinds(
+        excitation=excitation,
+        stabiliser=stabiliser,
+        reference=reference,
+        bounds=bounds,
+        noise=noise,
+        conditions=conditions,
+        disturbances=disturbances,
+        recorded_disturbances=recorded_disturbances,
+        recording_start=recording_start,
+    )
     signals = (outputs, measurements, bounds, noise, conditions, seed, preview)
     setup = LoopSetup(
         plant,

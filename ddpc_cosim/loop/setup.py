@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 from numbers import Integral, Real
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ddpc_cosim.loop.outlook import Limit, Limits, Outlook, Wanted, Wish, table_
 from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.loop.prices import ChargedSignals
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.signals.disturbances import KnownDisturbance
+from ddpc_cosim.signals.disturbances import Knowledge, KnownDisturbance
 from ddpc_cosim.signals.excitations import Excitation
 from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import (
@@ -91,12 +91,80 @@ def check_seed(seed: int) -> None:
 
 def check_preview(preview: int | None) -> None:
     """Raise ConfigError if this number of future references that anyone may see is not possible."""
-    if preview is not None and (
-        not isinstance(preview, Integral) or isinstance(preview, bool) or preview < 0
-    ):
+    if preview is not None and not _is_count(preview):
         raise ConfigError(
             f"preview = {preview!r} is not possible; allowed: an integer >= 0, or None: no limit"
         )
+
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "excitation": (Excitation,),
+    "recording": (Recording,),
+    "noise": (GaussianNoise,),
+    "conditions": (Conditions,),
+    "stabiliser": (Controller,),
+    "warm_up_controller": (Controller,),
+}
+_NAMED_KINDS: dict[str, tuple[type, ...]] = {
+    "reference": (Reference, Band),
+    "disturbances": (KnownDisturbance,),
+    "recorded_disturbances": (Reference,),
+    "prices": (Price,),
+    "bounds": (object,),  # said where they are read
+}
+
+
+def check_kinds(**given: Any) -> None:
+    """Raise ConfigError for all keywords of :func:`ddpc_cosim.cosimulate` whose value they cannot have.
+
+    What is None is not given. What fits no name of the plant, or not together, is said where that is known.
+    """
+    faults = list[str]()
+    for key, value in given.items():
+        if value is None or (key == "reference" and isinstance(value, Reference | Band)):
+            continue
+        if key in _KINDS and not isinstance(value, _KINDS[key]):
+            faults.append(f"{key} = {value!r}; needed: {_in_words(_KINDS[key])}")
+        elif key in _NAMED_KINDS and not isinstance(value, Mapping):
+            faults.append(f"{key} = {value!r}; needed: for each name {_in_words(_NAMED_KINDS[key])}")
+        elif key in _NAMED_KINDS:
+            faults += [
+                f"{key}: {name} = {entry!r}; needed: {_in_words(_NAMED_KINDS[key])}{_such_as(key, entry)}"
+                for name, entry in value.items()
+                if not isinstance(entry, _NAMED_KINDS[key])
+            ]
+        elif key == "events":
+            wrong = [event for event in value if not isinstance(event, ParameterChange)]
+            faults += [f"events: {event!r}; needed: a ParameterChange" for event in wrong]
+        elif key == "forecast_horizon" and not _is_count(value):
+            needed = "allowed: an integer >= 0, or None: that of the controller"
+            faults.append(f"{key} = {value!r} is not possible; {needed}")
+        elif key == "recording_start" and not _is_finite(value):
+            needed = "allowed: a finite number, or None: where the default begins it"
+            faults.append(f"{key} = {value!r} is not possible; {needed}")
+        elif key == "warm_up" and not (_is_finite(value) and value >= 0):
+            faults.append(f"{key} = {value!r} is not possible; allowed: a number >= 0")
+    if faults:
+        raise ConfigError(faults)
+
+
+def _in_words(kinds: tuple[type, ...]) -> str:
+    if kinds == (object,):
+        return "two limits"
+    words = {Reference: "a signal of time", Excitation: "an Excitation", Conditions: "Conditions"}
+    return " or ".join(words.get(kind, f"a {kind.__name__}") for kind in kinds)
+
+
+def _such_as(key: str, entry: Any) -> str:
+    """Return what may be meant by an entry of another kind."""
+    if key == "disturbances":
+        known = entry if isinstance(entry, str) and entry in get_args(Knowledge) else "measured"
+        said = "signal=..." if isinstance(entry, Reference) else f'known="{known}"'
+        return f", such as KnownDisturbance({said})"
+    if key == "prices":
+        level = f"{entry:g}" if _is_finite(entry) else "..."
+        return f', such as Price(signal="...", price={level}, unit="EUR/kWh")'
+    return f", such as Constant({entry:g})" if _is_finite(entry) else ""
 
 
 def check_events(events: Sequence[ParameterChange], end: float) -> None:
@@ -329,12 +397,19 @@ class LoopSetup:
             for key, name, fault in self._conditions.faults_in(self.sampling_time, len(time) - 1, run)
         ]
         prices = {} if in_experiment else self.charged.signals
+        limits = [
+            (f"bounds of {name}", limit)
+            for name, pair in self._given_bounds.items()
+            for limit in pair
+            if not in_experiment
+        ]
         of_run, ahead_of_run = (
             self.disturbances.signals(in_experiment=in_experiment, foretold=foretold)
             for foretold in (False, True)
         )
-        faults += _gaps(of_run, float(whole[0]), float(time[-1]))
-        faults += _gaps(ahead_of_run | prices, float(whole[0]), float(whole[-1]))
+        until_end, ahead_too = [*of_run.items(), *limits], [*ahead_of_run.items(), *prices.items()]
+        faults += _gaps(until_end, float(whole[0]), float(time[-1]))
+        faults += _gaps(ahead_too, float(whole[0]), float(whole[-1]))
         if faults:
             raise ConfigError(faults)
         self.actuators.start(whole, ahead=ahead, in_experiment=in_experiment, continues=continues)
@@ -518,6 +593,10 @@ def _is_finite(value: Any) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
+def _is_count(value: Any) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 0
+
+
 def _chosen(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
     if isinstance(chosen, str):
         raise ConfigError(f'{what}: needed: a list of names, got the text "{chosen}"')
@@ -543,9 +622,10 @@ def _checked_bounds(
     return given
 
 
-def _gaps(signals: Mapping[str, float | Reference], first: float, last: float) -> Iterator[str]:
+def _gaps(signals: Iterable[tuple[str, Limit]], first: float, last: float) -> Iterator[str]:
     """Yield which files do not tell signals from a first time to a last [s]."""
-    for what, signal in signals.items():
+    for what, signal in signals:
+        yield from _gaps([(what, part) for part in getattr(signal, "parts", ())], first, last)
         if isinstance(signal, SignalFromFile) and (gap := signal.gap(first, last)):
             yield f"{what}: {gap}"
 

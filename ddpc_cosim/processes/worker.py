@@ -37,6 +37,7 @@ from ddpc_cosim.processes.fork_server import (
     this_process,
 )
 from ddpc_cosim.processes.limits import default_memory
+from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.sandbox import Sandbox, enter, separable
 from ddpc_cosim.processes.scratch import list_shared_memory, remove_shared_memory
 
@@ -313,12 +314,13 @@ class Worker:
 
         In a forked copy of this process, the worker is left alone.
         """
-        process, self._process = self._process, None
-        if process is not None and os.getpid() == self._owner:
-            self._exit_status = process.end()
-            if self._shared is not None:
-                remove_shared_memory(self._shared)
-        self.channel.socket.close()
+        with held():  # or it would go on, with no one left who ends it
+            process, self._process = self._process, None
+            if process is not None and os.getpid() == self._owner:
+                self._exit_status = process.end()
+                if self._shared is not None:
+                    remove_shared_memory(self._shared)
+            self.channel.socket.close()
         return self._exit_status
 
 

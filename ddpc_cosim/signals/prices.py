@@ -1,6 +1,8 @@
 """Prices: what signals cost over time, in money and emissions."""
 
+import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -107,4 +109,6 @@ def _is_money(name: str) -> bool:
 def _values(variable: Variable, signal: float | Reference, what: str, time: FloatArray) -> FloatArray:
     if isinstance(signal, Reference):
         return values_at(in_unit_of(variable, signal), what, time)
+    if not (isinstance(signal, Real) and math.isfinite(signal)):
+        raise ConfigError(f"prices: {what} = {signal!r}; needed: a finite number or a signal of time")
     return np.full(len(time), float(signal))

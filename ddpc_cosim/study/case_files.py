@@ -235,6 +235,7 @@ def write_case(
     staged = (staging or folder.parent) / f".{folder.name}.{os.getpid()}"
     shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
     try:
+        staged.parent.mkdir(parents=True, exist_ok=True)
         stage_case(staged, trace, head, settings)
         _move_into_place(staged, folder)
     except OSError as error:
@@ -247,6 +248,8 @@ def stage_case(
     staged: Path, trace: Trace, head: dict[str, Any], settings: MetricSettings | None = None
 ) -> None:
     """Write a case's files into a folder that is not yet its own; parameters as of :func:`write_case`.
+
+    What that stands in is not made: of a run that has ended meanwhile nothing comes back.
 
     Raises
     ------
@@ -283,7 +286,7 @@ def stage_case(
             **_further(trace),
         }
     )
-    staged.mkdir(parents=True, exist_ok=True)
+    staged.mkdir(exist_ok=True)
     file = staged / _SIGNALS_FILES[run["storage"]]
     write_table(file, trace.columns(), {"status": trace.status})
     signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}

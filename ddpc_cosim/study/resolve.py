@@ -35,7 +35,7 @@ from ddpc_cosim.study.controllers import (
     resolve_warm_up,
     time_limit,
 )
-from ddpc_cosim.study.disturbances import Disturbances
+from ddpc_cosim.study.disturbances import Disturbances, check_reach
 from ddpc_cosim.study.file_format.requirements import REQUIREMENTS
 from ddpc_cosim.study.file_format.sections import (
     BandSection,
@@ -723,6 +723,8 @@ class _Resolution:
                 signal = self.signals.level((*place, key), level, variable, section.unit, (*place, "unit"))
                 if signal is None:
                     return None
+                loop = self.study.loop
+                check_reach(self.signals, (*place, key), level, loop.start_time - loop.warm_up, loop.end)
                 signal = signal if isinstance(level, Reference) else float(signal.at(np.zeros(1))[0])
             limits.append(of_plant if signal is None else signal)
         low, high = limits

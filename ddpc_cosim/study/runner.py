@@ -498,6 +498,7 @@ def run_cases(
                             may_go_on=workers.may_go_on(case),
                         )
                         running.append(run)
+                        run.begin()  # once it is among those that are ended, whatever happens
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -655,7 +656,7 @@ class _Workers:
 
 
 class _Run:
-    """A case in a worker.
+    """A case in a worker, which runs it once it is told to :meth:`begin`.
 
     Parameters
     ----------
@@ -697,8 +698,8 @@ class _Run:
         keep_files: bool,
         may_go_on: bool,
     ) -> None:
-        self._began = began = monotonic()
-        self.case, self._folder, self._staging = case, folder, staging
+        self._began = monotonic()
+        self.case, self._folder, self._staging, self._context = case, folder, staging, context
         self.alone, self.may_be_a_bystander = alone, False
         self._may_go_on, self.worker_goes_on = may_go_on, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
@@ -708,13 +709,16 @@ class _Run:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             sandbox = Sandbox((self._place, self._staged, *traced), context.read)
         self.worker = make(folder=self._place, sandbox=sandbox, alone=alone)
-        rows = self._place / "rows"
-        self._store = row_store(case, rows, follow=True)
+        self._store = row_store(case, self._place / "rows", follow=True)
         self._call, self._since = 0, monotonic()
+
+    def begin(self) -> None:
+        """Have the worker run the case."""
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            environment = (context.modules, context.values, self._work)
-            run = run_and_leave if may_go_on else run_and_stage
-            ask(self.worker.channel, run, case, rows, self._staged, *environment, began)
+            environment = (self._context.modules, self._context.values, self._work)
+            run = run_and_leave if self._may_go_on else run_and_stage
+            rows = self._place / "rows"
+            ask(self.worker.channel, run, self.case, rows, self._staged, *environment, self._began)
 
     @property
     def progress(self) -> Update:

@@ -25,10 +25,14 @@ from selenium.webdriver.chrome.service import Service
 AXE = Path(str(distribution("axe-playwright-python").locate_file("axe_playwright_python/axe.min.js")))
 THEMES = ("light", "dark")
 WIDTHS = (1280, 400)
+# What another theme changes of a page is its colours alone.
+COLOUR_RULES = ("color-contrast", "link-in-text-block")
 _FAULTS = """
 const done = arguments[arguments.length - 1];
 document.querySelectorAll("details:not(aside *)").forEach((fold) => { fold.open = true; });
-axe.run(document, { resultTypes: ["violations", "incomplete"] }).then((said) => done(
+const options = { resultTypes: ["violations", "incomplete"] };
+if (arguments[0].length) options.runOnly = arguments[0];
+axe.run(document, options).then((said) => done(
   ["violations", "incomplete"].flatMap((kind) => said[kind].flatMap(({ id, nodes }) =>
     nodes.map(({ html }) => `${kind}, ${id}: ${html.slice(0, 150)}`)))
 ));
@@ -82,7 +86,8 @@ def faults_of(pages: Sequence[str], address: str) -> list[str]:
                 for width in WIDTHS:
                     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
                     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-                    said = browser.execute_async_script(_FAULTS)
+                    rules = [] if theme == THEMES[0] else COLOUR_RULES
+                    said = browser.execute_async_script(_FAULTS, rules)
                     faults += [f"{page}, {theme}, {width} wide: {fault}" for fault in said]
     finally:
         browser.quit()

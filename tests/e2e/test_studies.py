@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("studies")
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
 ELSEWHERE = ("benchmark", "forecast", "paper")  # have tests of their own
-LONG = ("noise", "prices", "time-varying")
+LONG = ("mimo", "noise", "prices", "time-varying", "tuning", "unstable")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in sorted(path.stem for path in STUDIES.glob("*.toml"))
@@ -123,6 +123,7 @@ def test_figures_of_the_response_are_those_of_the_samples(name: str, results_of:
         assert (row["failed"], row["settles"]) == ("true" if case.failed else "false", settles)
 
 
+@pytest.mark.slow
 def test_of_the_sweeps_one_setting_fails(results_of: Results) -> None:
     failed = [case.controller for case in results_of("tuning").cases if case.failed]
     assert failed == ["mfapc-lambda_u-0.1-forecast_order-2"]
@@ -237,6 +238,7 @@ def test_noise_costs_travel_most_where_nothing_filters(results_of: Results) -> N
         assert {*sorted(after, key=after.__getitem__)[:2]} == {"mfac", "mfapc"}
 
 
+@pytest.mark.slow
 def test_knowing_of_the_coupling_shows_in_how_far_the_other_level_moves(results_of: Results) -> None:
     results = results_of("mimo")
     assert not any(case.failed for case in results.cases)
@@ -253,6 +255,7 @@ def moved(case: CaseResult) -> float:
     return float(errors(case)[(time >= 400.0) & (time < 900.0), 0].max())
 
 
+@pytest.mark.slow
 def test_predictive_methods_come_out_alike_on_the_tanks_and_owe_a_quarter_to_preview(
     results_of: Results,
 ) -> None:
@@ -269,6 +272,7 @@ def test_predictive_methods_come_out_alike_on_the_tanks_and_owe_a_quarter_to_pre
     assert ahead["wkpc"] > blind["wkpc"]
 
 
+@pytest.mark.slow
 def test_upright_the_compact_form_of_mfapc_falls_and_the_others_hold(results_of: Results) -> None:
     results = results_of("unstable")
     for scenario in results.study.scenarios:
@@ -278,6 +282,7 @@ def test_upright_the_compact_form_of_mfapc_falls_and_the_others_hold(results_of:
         assert max(mean_error(case, 5.0, 10.0) for case in rest if case.controller != "spsa") < 0.01
 
 
+@pytest.mark.slow
 def test_upright_the_force_limit_decides_without_preview(results_of: Results) -> None:
     results = results_of("unstable")
     ahead, blind = (medians(results, scenario, rmse) for scenario in results.study.scenarios)
@@ -310,6 +315,7 @@ def test_without_preview_the_reactor_leaves_little_between_the_methods(results_o
     assert all(0.55 < ahead[name] / blind[name] < 0.65 for name in PREDICTIVE)
 
 
+@pytest.mark.slow
 def test_tuning_maps_say_what_the_summary_says(results_of: Results) -> None:
     results = results_of("tuning")
     figure = {case.controller: metric(case, "sum_abs_error") for case in results.cases}

@@ -37,13 +37,8 @@ class Comparison(pd.DataFrame):
         return plain_table(self.title, [_HEADINGS.get(name, name) for name in columns], rows)
 
     def __repr__(self) -> str:
-        table = self._table()
-        cells = [[heading.title for heading in table.headings]]
-        cells += [[row.header, *(cell.text for cell in row.cells)] for row in table.rows]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
         more = [str(column) for column in self.columns if column not in _FIRST]
-        return "\n".join([self.title, *lines, f"more columns: {', '.join(more)}"])
+        return f"{self._table().text}\nmore columns: {', '.join(more)}"
 
     def _repr_html_(self) -> str:
         return self._table().html

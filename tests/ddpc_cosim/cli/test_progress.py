@@ -3,6 +3,7 @@
 import io
 import itertools
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -179,3 +180,55 @@ def test_stdout_is_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> Non
     os.write(1, b"found")
     print("too")
     assert capfd.readouterr().out == "foundtoo\n"
+
+
+class Cell:
+    """What a notebook's cell shows: outputs, each of which its own handle replaces."""
+
+    def __init__(self) -> None:
+        self.outputs: list[list[str]] = []
+
+    def display(self, data: dict[str, str], *, raw: bool, display_id: bool) -> "Cell":
+        assert raw
+        assert display_id
+        self.outputs.append([data["text/plain"]])
+        return self
+
+    def update(self, data: dict[str, str], *, raw: bool) -> None:
+        assert raw
+        self.outputs[-1].append(data["text/plain"])
+
+
+@pytest.fixture
+def cell(monkeypatch: pytest.MonkeyPatch) -> Cell:
+    """Have this process serve a notebook."""
+    cell, shell = Cell(), SimpleNamespace(kernel=object())
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", cell)
+    return cell
+
+
+def test_a_notebook_has_one_output_that_is_empty_at_the_end(
+    cell: Cell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress.shown("reading") as display:
+        display.prepare("reading study")
+        display.start(2, 1)
+    (texts,) = cell.outputs
+    assert texts == ["reading study", "2 cases to run, 1 kept", ""]
+    assert capsys.readouterr().err == ""
+
+
+def test_where_nothing_took_long_a_notebook_has_no_output(cell: Cell) -> None:
+    with progress.shown("reading"):
+        pass
+    assert cell.outputs == []
+
+
+def test_a_program_that_has_ipython_and_no_kernel_has_lines(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: None))
+    with progress.shown("reading") as display:
+        display.prepare("reading study")
+    assert (cell.outputs, capsys.readouterr().err) == ([], "reading study\n")

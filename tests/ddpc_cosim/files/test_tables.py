@@ -86,3 +86,12 @@ def test_a_file_has_numbers_in_full_and_is_read_back() -> None:
     assert own_rows(text) == (["a", "'=b"], [["0.30000000000000004", "true"], ["", "x,\n'y'"], ["-3", "+1"]])
     with pytest.raises(ValueError, match="not enough values"):
         own_rows("")
+
+
+def test_in_a_terminal_it_is_shown_in_columns_and_nothing_in_it_acts_there() -> None:
+    table = plain_table("all", ["name", "value"], [["pid", 0.123456], ["\x1b[31mred", math.nan]])
+    first, *lines = repr(table).splitlines()
+    assert first == "all"
+    assert [line.split()[1] for line in lines] == ["value", "0.1235", "\N{EN DASH}"]
+    assert len({line.index(line.split()[1]) for line in lines[:2]}) == 1
+    assert "\x1b" not in repr(table)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,9 +21,12 @@ from ddpc_cosim import (
     Outcome,
     ParameterChange,
     Plant,
+    Price,
     Recording,
     Reference,
     Sample,
+    SignalFromFile,
+    Sum,
     Trace,
     UniformRandom,
     Variable,
@@ -347,3 +351,98 @@ def test_a_plant_that_diverges_during_the_experiment_gives_no_recording() -> Non
 def test_a_recording_that_cannot_be_used_is_refused(arrays: Arrays, words: str) -> None:
     with pytest.raises(DataError, match=words):
         Recording(*arrays, 0.1)
+
+
+ENTRIES_OF_OTHER_KINDS: list[tuple[dict[str, Any], str]] = [
+    (
+        {"disturbances": {"push": "perfect"}},
+        "disturbances: push = 'perfect'; needed: a KnownDisturbance, such as "
+        'KnownDisturbance(known="perfect")',
+    ),
+    (
+        {"disturbances": {"push": Constant(1.0)}},
+        "disturbances: push = Constant(value=1.0); needed: a KnownDisturbance, such as "
+        "KnownDisturbance(signal=...)",
+    ),
+    ({"disturbances": ["push"]}, "disturbances = ['push']; needed: for each name a KnownDisturbance"),
+    (
+        {"recorded_disturbances": {"push": 2.0}},
+        "recorded_disturbances: push = 2.0; needed: a signal of time, such as Constant(2)",
+    ),
+    (
+        {"prices": {"e": 3.0}},
+        'prices: e = 3.0; needed: a Price, such as Price(signal="...", price=3, unit="EUR/kWh")',
+    ),
+    (
+        {"forecast_horizon": -1},
+        "forecast_horizon = -1 is not possible; allowed: an integer >= 0, or None: that of the controller",
+    ),
+    (
+        {"recording_start": float("nan")},
+        "recording_start = nan is not possible; allowed: a finite number, or None: where the default "
+        "begins it",
+    ),
+    ({"warm_up": -0.5}, "warm_up = -0.5 is not possible; allowed: a number >= 0"),
+    (
+        {"reference": {"a": 1.0}},
+        "reference: a = 1.0; needed: a signal of time or a Band, such as Constant(1)",
+    ),
+    ({"noise": {"a": 0.1}}, "noise = {'a': 0.1}; needed: a GaussianNoise"),
+    ({"conditions": {}}, "conditions = {}; needed: Conditions"),
+    ({"excitation": 1.0}, "excitation = 1.0; needed: an Excitation"),
+    ({"events": [1.0]}, "events: 1.0; needed: a ParameterChange"),
+]
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    ENTRIES_OF_OTHER_KINDS,
+    ids=lambda given: "" if isinstance(given, str) else str(*given),
+)
+def test_what_is_not_of_its_kind_is_named_with_what_is_needed(given: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        close_loop(Answering(), **given)
+    assert caught.value.faults == (fault,)
+
+
+def test_all_that_is_not_of_its_kind_is_named_at_once() -> None:
+    together: dict[str, Any] = {}
+    for given, _ in ENTRIES_OF_OTHER_KINDS:
+        together |= given
+    with pytest.raises(ConfigError) as caught:
+        close_loop(Answering(), **together)
+    assert len(caught.value.faults) == len(together)
+
+
+def test_of_a_recording_too() -> None:
+    wrong: Any = {"disturbances": {"push": 1.0}, "recording_start": float("inf"), "noise": 0.1}
+    with pytest.raises(ConfigError) as caught:
+        record(Doubler(), UniformRandom(-1.0, 1.0, 5), sampling_time=0.5, **wrong)
+    assert len(caught.value.faults) == 3
+
+
+@pytest.mark.parametrize("level", ["high", float("nan")])
+def test_a_price_is_a_number_or_a_signal(level: Any) -> None:
+    with pytest.raises(ConfigError, match=r"price e = .*; needed: a finite number or a signal of time"):
+        close_loop(Answering(), prices={"e": Price(signal="push", price=level, unit="EUR/s")})
+
+
+def test_without_a_reference_it_is_said_for_which_output() -> None:
+    nothing: Any = None
+    with pytest.raises(ConfigError, match="reference: none for a"):
+        close_loop(Answering(), reference=nothing)
+
+
+@pytest.mark.parametrize("is_part", [False, True])
+def test_bounds_from_a_file_have_to_reach_over_the_run(is_part: bool, tmp_path: Path) -> None:
+    """A value of the file is held as long as that of the row before it; the run ends at t = 2 s."""
+    path = tmp_path / "limits.csv"
+    path.write_text("time [s],push\n0,0.5\n0.5,0.7\n1,0.6\n")
+    limit: Any = SignalFromFile(str(path))
+    within = {"push": (-1.0, Sum((limit, Constant(0.2))) if is_part else limit)}
+    with pytest.raises(
+        ConfigError, match=r"bounds of push: .*csv tells it from t = 0 s to 1\.5 s; needed: from"
+    ):
+        close_loop(Answering(), bounds=within)
+    path.write_text(path.read_text() + "1.5,0.7\n")
+    assert len(close_loop(Answering(third=np.array([0.5])), bounds=within)) == 5

@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studies import write
 
+from ddpc_cosim.processes.fork_server import ExitStatus, Forked
 from ddpc_cosim.processes.requests import Terminated, held, orderly_end
+from ddpc_cosim.processes.worker import Worker, ask as ask_worker, serve_calls
 from ddpc_cosim.study.case_files import CaseResult, load_case
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
@@ -327,6 +330,56 @@ def test_no_request_at_a_random_moment_of_a_run_is_lost(
     run(whole)
     gc.collect()  # what the last request holds by its traceback
     assert list(scratch.iterdir()) == []
+
+
+WAITING = """
+from ddpc_controllers import MFAPC
+
+class Waiting(MFAPC):
+    def start(self, loop):
+        open("{pipe}", "rb").read(1)
+        super().start(loop)
+"""
+
+
+def test_a_request_when_a_worker_was_just_told_to_begin_ends_it(
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Or it would go on, and make anew the folder for what is not complete, which is gone by then."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    write(tmp_path, WAITING.format(pipe=pipe), "waiting.py")
+    resolved = read_study(str(write_study("waiting:Waiting")))
+    writing = list[int]()
+
+    def asked(*arguments: Any) -> None:
+        ask_worker(*arguments)
+        writing.append(os.open(pipe, os.O_WRONLY))  # as soon as the run reads it
+        ask()
+
+    monkeypatch.setattr("ddpc_cosim.study.runner.ask", asked)
+    with pytest.raises(Terminated), orderly_end():
+        run_study(resolved, tmp_path / "out", Selection(), Silent())
+    with pytest.raises(BrokenPipeError):  # no process reads it any more
+        os.write(*writing, b"go on")
+    os.close(*writing)
+    assert list((tmp_path / "out/cases").iterdir()) == []
+
+
+def test_a_worker_ends_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    end = Forked.end
+
+    def asked(forked: Forked) -> ExitStatus:
+        ask()
+        return end(forked)
+
+    monkeypatch.setattr(Forked, "end", asked)
+    worker = Worker(serve_calls, folder=tmp_path)
+    pid = worker.call(os.getpid, seconds=60.0)
+    with pytest.raises(Terminated), orderly_end():
+        worker.end()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
 AT_EVENT = """

@@ -250,6 +250,20 @@ def test_a_price_from_a_file_covers_the_run_and_the_horizon(tmp_path: Path) -> N
     assert fault.endswith("needed: from 23 h to 1 d 5 h")
 
 
+@pytest.mark.parametrize("place", ["bounds", "scenarios.still.bounds", "controllers.pid.bounds"])
+def test_a_bound_from_a_file_covers_the_run(place: str, tmp_path: Path) -> None:
+    """Beyond the run, where only predictions go, its last value is held."""
+    key = f"{place}.heating_power.max".replace(".", "__")
+    limit = {"kind": "file", "file": "limits.csv", "column": "P", "unit": "kW"}
+    begin, end = 86400.0 - 3600.0, 86400.0 + 3.0 * 3600.0
+    of_files(tmp_path, limits={"time": [begin, end - 900.0, end], "P": [1.5, 1.2, 1.2]})
+    assert errors_of(house(**{key: limit}), tmp_path) == []
+    of_files(tmp_path, limits={"time": [begin, begin + 900.0], "P": [1.5, 1.2]})
+    (fault,) = errors_of(house(**{key: limit}), tmp_path)
+    assert fault.startswith(f"{place}.heating_power.max.file: ")
+    assert fault.endswith("needed: from 23 h to 1 d 3 h")
+
+
 FORECAST = {"forecast": {"file": "forecasts.csv", "unit": "degC"}, "known": "medium"}
 ISSUED = [86400.0 + 900.0 * k for k in range(13)]
 

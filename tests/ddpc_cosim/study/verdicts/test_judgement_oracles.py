@@ -45,7 +45,11 @@ from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.verdicts.judgement import judged, run_of, scenario_remarks
 from ddpc_cosim.study.verdicts.standings import standings
 
-SEEDS = range(30)
+# All of them together are half a minute; the first say whether it is so at all.
+over_seeds = pytest.mark.parametrize(
+    "seeds",
+    [pytest.param(range(8), id="few"), pytest.param(range(8, 30), id="more", marks=pytest.mark.slow)],
+)
 DOWN = Steps((0.0, 50.0), (1.0, 0.0))
 
 
@@ -232,12 +236,13 @@ REFERENCES: dict[str, Reference] = {
 }
 
 
+@over_seeds
 @pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("disturbed", DISTURBED)
-def test_a_perfect_controller_of_a_static_plant(disturbed: str, reference: str) -> None:
+def test_a_perfect_controller_of_a_static_plant(disturbed: str, reference: str, seeds: range) -> None:
     """With limits, which noise leaves, and without."""
     controller, loop = DISTURBED[disturbed]
-    for seed in SEEDS if "noise" in disturbed else range(2):
+    for seed in seeds if "noise" in disturbed else seeds[:2]:
         limits = (0.0, 1.0) if seed % 2 else (-math.inf, math.inf)
         case = judge(Linear(limits=limits), controller, seed, REFERENCES[reference], **loop)
         moves = reference == "sine"
@@ -245,13 +250,14 @@ def test_a_perfect_controller_of_a_static_plant(disturbed: str, reference: str) 
         assert (case.settles is None) == moves
 
 
+@over_seeds
 @pytest.mark.parametrize("reference", ["steps", "constant", "ramp"])
 @pytest.mark.parametrize("noise", [{"u0": 3.0}, {"y": 0.2}], ids=str)
-def test_a_perfect_controller_of_a_slow_plant(noise: dict[str, float], reference: str) -> None:
+def test_a_perfect_controller_of_a_slow_plant(noise: dict[str, float], reference: str, seeds: range) -> None:
     """Noise of the input makes a plant that is left alone wander; noise of the output is not fed back."""
     plant = Linear([[0.95]], [[0.05]])
     disturbances = {name: [WhiteNoise(deviation)] for name, deviation in noise.items()}
-    for seed in SEEDS:
+    for seed in seeds:
         controller = Perfect(plant, blind="y" in noise)
         assert_perfect(judge(plant, controller, seed, REFERENCES[reference], disturbances=disturbances))
 
@@ -260,10 +266,13 @@ COUPLED = Linear([[0.6, 0.2], [0.1, 0.7]], [[1.0, 0.4], [-0.3, 0.8]])
 ONE_STAYS = {"y": DOWN, "z": Constant(0.0)}
 
 
+@over_seeds
 @pytest.mark.parametrize("noise", [{"y": 0.2}, {"z": 0.2}, {"u0": 0.2, "u1": 0.1}, {}], ids=str)
-def test_a_perfect_controller_of_two_outputs_one_of_which_stays(noise: dict[str, float]) -> None:
+def test_a_perfect_controller_of_two_outputs_one_of_which_stays(
+    noise: dict[str, float], seeds: range
+) -> None:
     disturbances = {name: [WhiteNoise(deviation)] for name, deviation in noise.items()}
-    for seed in SEEDS if noise else range(1):
+    for seed in seeds if noise else seeds[:1]:
         controller = Perfect(COUPLED, blind="u0" not in noise)
         assert_perfect(judge(COUPLED, controller, seed, ONE_STAYS, disturbances=disturbances))
 
@@ -300,12 +309,13 @@ def test_a_sane_controller_does_not_fail(reference: str, loop: dict[str, Any]) -
     ],
     ids=["stays behind", "oscillates", "drifts", "diverges", "the other way round"],
 )
-def test_a_bad_controller_fails(controller: Controller, why: str) -> None:
+@over_seeds
+def test_a_bad_controller_fails(controller: Controller, why: str, seeds: range) -> None:
     case = judge(Linear(), controller, 0, DOWN)
     assert case.failed
     assert re.fullmatch(why, case.failure), case.failure
     assert case.outcome is Outcome.COMPLETED
-    for seed in SEEDS:
+    for seed in seeds:
         assert judge(Linear(), controller, seed, DOWN, noise={"y": 0.02}).failed
 
 
