@@ -40,6 +40,8 @@ class Heading:
         Where on the page the title and the group's title lead.
     wraps : bool
         Whether the column holds sentences, which the terminal may set in several lines.
+    colour : int, optional
+        Number in the page of the controller that the column is of.
     """
 
     title: str
@@ -49,6 +51,7 @@ class Heading:
     href: str = ""
     group_href: str = ""
     wraps: bool = False
+    colour: int | None = None
 
     @property
     def words(self) -> str:

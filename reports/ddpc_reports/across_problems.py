@@ -25,6 +25,7 @@ from ddpc_cosim.study.verdicts.sentences import (
     sentence,
 )
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
+from ddpc_reports.against import OverallBaselines
 from ddpc_reports.comparison import ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures.charts import profile_chart, rank_chart
@@ -32,6 +33,7 @@ from ddpc_reports.figures.figure import Figure, entry, one_chart
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
+from ddpc_reports.tables.ranking import RANK
 from ddpc_reports.tables.settings import value_text
 from ddpc_reports.tables.table import Column, controller_table, number_cells
 from ddpc_reports.verdict import Statement, names, p_words
@@ -158,11 +160,15 @@ def _best_rank(ranks: AverageRanks, labels: Mapping[str, str]) -> Markup:
     return sentence(best_rank_clause(ranks, labels, significant(min(ranks.ranks.values()), 3)))
 
 
-def first_columns(comparison: Overall, order: Sequence[ControllerResults]) -> list[Column]:
-    """Return average ranks and failed runs, for the matrix of the first screen."""
-    ranks = comparison.findings.ranks.ranks
+def first_columns(comparison: Overall, baselines: OverallBaselines) -> list[Column]:
+    """Return average ranks, what is told against a baseline, and failed runs: for the first screen."""
+    ranks, order = comparison.findings.ranks.ranks, baselines.order
     cells = number_cells([ranks.get(controller.key, math.nan) for controller in order], digits=3)
-    return [(Heading("average rank"), cells), (Heading("failed", "runs"), _failed_cells(comparison, order))]
+    return [
+        (Heading("average rank"), [replace(cell, tone=RANK) for cell in cells]),
+        *baselines.columns(),
+        (Heading("failed", "runs"), _failed_cells(comparison, order)),
+    ]
 
 
 def _failed_cells(comparison: Overall, controllers: Iterable[ControllerResults]) -> list[Cell]:
@@ -233,7 +239,7 @@ def overall_table(comparison: Overall, prefix: str) -> Table:
     )
     if far:
         notes += (
-            "Share: median, 95\u00a0% bootstrap interval, least and most of the problems' medians. Cost: "
+            "Share: median, 95\u00a0% bootstrap interval, least and most of the problems' medians. Needs: "
             "medians over the problems; total variation in pairs of the same scenario and seed.",
             SHARE_NOTE,
         )

@@ -16,6 +16,7 @@ from ddpc_reports.tables.table import Column
 
 _TONES = {Verdict.BETTER: "versus met", Verdict.WORSE: "versus missed"}
 _OWN = "baseline"
+_NOT_RUN = Cell(MISSING, math.nan, tone="versus", title=str(Verdict.UNKNOWN))
 
 
 @dataclass(frozen=True)
@@ -73,27 +74,33 @@ class Baselines:
 
         ``table`` is the name of the ranking in the page.
         """
-        labels = self.labels
-        if len(labels) < 2 or not self.ranking.keys:
+        if not self.ranking.keys:
             return None
-        pairs = {
-            name: [[_of_script(cell) for cell in cells] for cells in self._against(name).values()]
-            for name in labels
-        }
-        return {
-            "table": table,
-            "labels": labels,
-            "chosen": self.chosen if self.chosen in labels else "",
-            "json": json.dumps({"details": self._details, "pairs": pairs}, ensure_ascii=False),
-        }
+        pairs = {name: [*self._against(name).values()] for name in self.labels}
+        return _choice(table, self.labels, self.chosen, self._details, pairs)
+
+    def verdict(self, baseline: str, controller: str) -> Verdict | None:
+        """Return what is told of a controller against another over all that is ranked by, as ranks are.
+
+        It is better if it is told to be so in something, and worse in nothing; None where one did not run.
+        """
+        told = [against(self._with(baseline), key, baseline, controller) for key in self.ranking.keys]
+        verdicts = {pair.verdict if pair.is_told else Verdict.LEVEL for pair in told if pair}
+        if not verdicts:
+            return None
+        telling = verdicts & {Verdict.BETTER, Verdict.WORSE}
+        return telling.pop() if len(telling) == 1 else Verdict.LEVEL
 
     @property
     def _details(self) -> list[str]:
         several = len(self.ranking.keys) > 1
         return [(metric_signal(key) or "money") if several else "" for key in self.ranking.keys]
 
+    def _with(self, baseline: str) -> Standings:
+        return with_baseline(self.ranking, self.cases, baseline)
+
     def _against(self, baseline: str) -> Mapping[str, list[Cell]]:
-        ranking = with_baseline(self.ranking, self.cases, baseline)
+        ranking = self._with(baseline)
         return {
             controller.key: [_cell(ranking, key, baseline, controller.key) for key in ranking.keys]
             for controller in self.order
@@ -105,7 +112,7 @@ def _cell(ranking: Standings, key: str, baseline: str, controller: str) -> Cell:
         return Cell(_OWN, 0.0, tone="versus")
     told = against(ranking, key, baseline, controller)
     if told is None or told.verdict is Verdict.UNKNOWN:
-        return Cell(MISSING, math.nan, tone="versus", title=str(Verdict.UNKNOWN))
+        return _NOT_RUN
     tone = _TONES[told.verdict] if told.is_told else "versus"
     value = told.difference.median if math.isnan(told.percent) else told.percent
     return Cell(f"{_size(told, key)} {told.word}", value, tone=tone)
@@ -122,7 +129,89 @@ def _size(told: Against, key: str) -> str:
 
 def _of_script(cell: Cell) -> list[Any]:
     value = float(cell.raw)
-    return [cell.text, cell.tone, value if math.isfinite(value) else None]
+    return [cell.text, cell.tone, float(f"{value:.4g}") if math.isfinite(value) else None]
+
+
+@dataclass(frozen=True)
+class OverallBaselines:
+    """What is told over all problems of a study against each controller that the reader may choose.
+
+    Parameters
+    ----------
+    problems : sequence of Baselines
+        What is told in each.
+    order : sequence of ControllerResults
+        The controllers as the table has them.
+    """
+
+    problems: Sequence[Baselines]
+    order: Sequence[ControllerResults]
+
+    @property
+    def chosen(self) -> str:
+        """The baseline of all problems; empty where they name none, or not the same."""
+        named = {problem.chosen for problem in self.problems}
+        return named.pop() if len(named) == 1 else ""
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The controllers that may be chosen in some problem."""
+        known = {key for problem in self.problems for key in problem.labels}
+        return {controller.key: controller.label for controller in self.order if controller.key in known}
+
+    def columns(self) -> list[Column]:
+        """Return the column against the study's baseline; none without."""
+        if self.chosen not in self.labels:
+            return []
+        return [(Heading(f"against {self.labels[self.chosen]}", "problems"), self._against(self.chosen))]
+
+    def notes(self) -> tuple[str, ...]:
+        """Say what the column is, or would be for a baseline that the reader chooses."""
+        if len(self.labels) < 2:
+            return ()
+        return (
+            "Against a baseline: in how many problems the seeds tell a controller to be better and worse, as "
+            "ranks are told: of several outputs in one of them, and the reverse in none.",
+        )
+
+    def choice(self, table: str) -> dict[str, Any] | None:
+        """Return what the page's script chooses from; None where there is nothing to choose."""
+        pairs = {name: [[cell] for cell in self._against(name)] for name in self.labels}
+        return _choice(table, self.labels, self.chosen, ["problems"], pairs)
+
+    def _against(self, baseline: str) -> list[Cell]:
+        return [self._cell(baseline, controller.key) for controller in self.order]
+
+    def _cell(self, baseline: str, controller: str) -> Cell:
+        if controller == baseline:
+            return Cell(_OWN, 0.0, tone="versus")
+        told = [problem.verdict(baseline, controller) for problem in self.problems]
+        if not any(told):
+            return _NOT_RUN
+        better, worse = told.count(Verdict.BETTER), told.count(Verdict.WORSE)
+        # A tone where no problem says the reverse.
+        verdict = Verdict.BETTER if better and not worse else Verdict.WORSE if worse and not better else None
+        text = f"{better} better, {worse} worse" if better or worse else "n.\u00a0s."
+        return Cell(text, float(worse - better), tone=_TONES[verdict] if verdict else "versus")
+
+
+def _choice(
+    table: str,
+    labels: Mapping[str, str],
+    chosen: str,
+    details: Sequence[str],
+    pairs: Mapping[str, Sequence[Sequence[Cell]]],
+) -> dict[str, Any] | None:
+    """Return what the page's script chooses from: of each baseline the cells, row by row."""
+    if len(labels) < 2:
+        return None
+    cells = {name: [[*map(_of_script, row)] for row in rows] for name, rows in pairs.items()}
+    return {
+        "table": table,
+        "labels": labels,
+        "chosen": chosen if chosen in labels else "",
+        "json": json.dumps({"details": details, "pairs": cells}, ensure_ascii=False),
+    }
 
 
 def baselines_of(

@@ -13,7 +13,7 @@ from ddpc_reports.comparison import (
     metric_words,
     spread,
 )
-from ddpc_reports.numbers import MISSING, as_given
+from ddpc_reports.numbers import MISSING, as_given, computed
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
 from ddpc_reports.tables.table import controller_row, interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, p_words
@@ -134,4 +134,5 @@ def _p(difference: Difference | None) -> Cell:
 def _ahead(difference: Difference | None) -> Cell:
     if not difference or math.isnan(difference.won):
         return Cell(MISSING)
-    return Cell(f"{as_given(difference.won * difference.seeds)} of {difference.seeds}", difference.won)
+    ahead = as_given(computed(difference.won * difference.seeds))
+    return Cell(f"{ahead} of {difference.seeds}", difference.won)

@@ -1,4 +1,4 @@
-"""Over all problems: how far controllers come between the reference points, where, and what it costs them."""
+"""Over all problems: how far controllers come between the reference points, where, and what they need."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,7 +36,7 @@ _STEP, _TRAVEL = "solve_time_median [s]", "total_variation"
 
 @dataclass(frozen=True)
 class Distances:
-    """How far controllers come on the way between the reference points, and what it costs them.
+    """How far controllers come on the way between the reference points, and what they need for it.
 
     Parameters
     ----------
@@ -69,15 +69,15 @@ class Distances:
 def distances(problems: Sequence[StudyResults], controllers: list[ControllerResults]) -> Distances | None:
     """Return how far controllers come in each problem and over all; None without reference points."""
     runs: dict[str, dict[str, Runs]] = {}
-    costs: dict[str, list[dict[str, float]]] = {"step": [], "recorded": [], "travel": []}
+    needs: dict[str, list[dict[str, float]]] = {"step": [], "recorded": [], "travel": []}
     for results in problems:
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
             runs[results.study.name] = shares_of(
                 results.cases, points, headline(keys, results.study.metrics.ranking)
             )
-            for kind, medians in _costs(results, points, keys).items():
-                costs[kind].append(medians)
+            for kind, medians in _needs(results, points, keys).items():
+                needs[kind].append(medians)
     if not runs:
         return None
     by_problem = {name: _described(of_problem) for name, of_problem in runs.items()}
@@ -90,7 +90,7 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
         {name: samples for name, samples in scenarios.items() if samples},
         {name: _ahead(of_problem) for name, of_problem in runs.items() if of_problem},
         [name for name, of_problem in runs.items() if not of_problem],
-        **{kind: _medians(of_problems) for kind, of_problems in costs.items()},
+        **{kind: _medians(of_problems) for kind, of_problems in needs.items()},
     )
 
 
@@ -127,10 +127,10 @@ def _ahead(runs: Mapping[str, Runs]) -> list[str]:
     return [first, *(b for b, behind in others if behind.told_worse or not behind.told_apart)]
 
 
-def _costs(
+def _needs(
     results: StudyResults, points: ReferencePoints, keys: Iterable[str]
 ) -> dict[str, dict[str, float]]:
-    """Return what each controller costs in one problem, in medians over its runs."""
+    """Return what each controller needs in one problem, in medians over its runs."""
     figures: dict[str, dict[str, list[float]]] = {"step": {}, "recorded": {}, "travel": {}}
     for case in results.cases:
         figures["recorded"].setdefault(case.controller, []).append(case.recorded_samples)
@@ -150,7 +150,7 @@ def _medians(tables: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]:
-    """Say how far the controllers come, which is ahead in which problem, and what the first ones cost.
+    """Say how far the controllers come, which is ahead in which problem, and what the first ones need.
 
     Parameters
     ----------
@@ -178,14 +178,14 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
         text += Markup(" In {} there is no way to go.").format(join_words(far.without))
     by_key = {controller.key: controller for controller in far.controllers}
     where = [(name, _ahead_words(far, name, by_key)) for name in far.ahead]
-    costs = [italic(by_key[key].label) + f" {_cost_words(far, key)}" for key in first]
-    cost = Markup("; ").join(
-        [*costs[:_NAMED], *([f"{len(costs) - _NAMED} more below"] if costs[_NAMED:] else [])]
+    each = [italic(by_key[key].label) + f" {_needs_words(far, key)}" for key in first]
+    needs = Markup("; ").join(
+        [*each[:_NAMED], *([f"{len(each) - _NAMED} more below"] if each[_NAMED:] else [])]
     )
     return [
         Statement("Distance", text),
         Statement("Which where", by_signal(where)),
-        Statement("Cost", cost + "."),
+        Statement("Needs", needs + "."),
     ]
 
 
@@ -208,7 +208,7 @@ def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerRe
     return text + "."
 
 
-def _cost_words(far: Distances, key: str) -> str:
+def _needs_words(far: Distances, key: str) -> str:
     recorded = far.recorded.get(key, 0)
     words = [
         f"a {metric_name(_STEP)} of {duration(far.step.get(key, math.nan))}",
@@ -220,7 +220,7 @@ def _cost_words(far: Distances, key: str) -> str:
 
 
 def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[Column]:
-    """Return shares over the problems and what they cost; the reference points have their ends."""
+    """Return shares over the problems and what they need; the reference points have their ends."""
     samples = [far.overall.get(controller.key) for controller in rows]
     by_controller = [
         [of_problem[controller.key] for of_problem in far.problems.values() if controller.key in of_problem]
@@ -228,8 +228,8 @@ def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[
     ]
     ends = [sorted(shares, key=lambda sample: sample.median) for shares in by_controller]
     step, recorded, travel = (
-        [cost.get(controller.key, math.nan) for controller in rows]
-        for cost in (far.step, far.recorded, far.travel)
+        [figures.get(controller.key, math.nan) for controller in rows]
+        for figures in (far.step, far.recorded, far.travel)
     )
     unit, factor = time_scale(step)
     medians = [
@@ -240,10 +240,13 @@ def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[
         (Heading("interval", "%", group=SHARE), [share_interval(sample) for sample in samples]),
         (Heading("least", "%", group=SHARE), [share_cell(shares[0] if shares else None) for shares in ends]),
         (Heading("most", "%", group=SHARE), [share_cell(shares[-1] if shares else None) for shares in ends]),
-        (Heading(metric_name(_STEP), unit, group="cost"), number_cells([t * factor for t in step], digits=3)),
-        (Heading("recording", "samples", group="cost"), number_cells(recorded)),
         (
-            Heading(metric_name(_TRAVEL), "of that at 100\u00a0%", group="cost"),
+            Heading(metric_name(_STEP), unit, group="needs"),
+            number_cells([t * factor for t in step], digits=3),
+        ),
+        (Heading("recording", "samples", group="needs"), number_cells(recorded)),
+        (
+            Heading(metric_name(_TRAVEL), "of that at 100\u00a0%", group="needs"),
             number_cells(travel, digits=2),
         ),
     ]

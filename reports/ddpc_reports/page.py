@@ -23,7 +23,7 @@ from ddpc_reports.figures.charts import COLOURS, DASHES
 from ddpc_reports.figures.figure import Figure, View
 from ddpc_reports.sections import Block, StudyPart, gather
 
-_ROOM = 300_000
+_ROOM = 80_000
 """Letters of drawings from which on those are left to the script that are not seen first."""
 
 
@@ -44,9 +44,16 @@ def set_page(
     studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "", logo: str = ""
 ) -> str:
     """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
-    library, script = chart_library(), page_script()
+    script = page_script()
     parts = _names_of_parts(studies)
     pictures = _pictures(studies, next(iter(parts), ""))
+    lively = [name for name, picture in pictures.items() if picture.vega]
+    # What draws charts is the most of a small page: where there are none it is left out.
+    library = chart_library() if pictures else ""
+    embedded = {
+        "chart-library": deflated(library),
+        "report-data": deflated(json_of(_data(studies, data, pictures))),
+    }
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
         autoescape=True,
@@ -63,15 +70,12 @@ def set_page(
         logo=logo,
         style=Markup(stylesheet()),
         script=_Script(script),
-        policy=content_policy([script, library]),
-        embedded={
-            "chart-library": deflated(library),
-            "report-data": deflated(json_of(_data(studies, data, pictures))),
-        },
+        policy=content_policy([script, library] if pictures else [script]),
+        embedded=embedded if pictures else {},
         colours=COLOURS,
         names=_names(studies),
         pictures=pictures,
-        lively=[name for name, picture in pictures.items() if picture.vega],
+        lively=lively,
         names_of_parts=parts,
         shown=next(iter(parts), ""),
         patterns=len(DASHES),

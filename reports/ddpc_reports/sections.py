@@ -27,7 +27,7 @@ from ddpc_reports.across_problems import (
     overall_statements,
     overall_table,
 )
-from ddpc_reports.against import Baselines, baselines_of
+from ddpc_reports.against import Baselines, OverallBaselines, baselines_of
 from ddpc_reports.answer import answer
 from ddpc_reports.certainty import certainty_tables
 from ddpc_reports.comparison import Condition, ControllerResults, conditions, on_one_page
@@ -363,7 +363,15 @@ def _overall_part(
             for place in _places(part, of_part, f"s{i}-", budget)
         ]
         answered = overall_answer(comparison)
-        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(comparison, places, rows, prefix)))
+        baselines = OverallBaselines(
+            [
+                baselines_of(standing, part.cases, rows, part.study.report.baseline)
+                for standing, part in zip(comparison.findings.standings, problems, strict=True)
+            ],
+            rows,
+        )
+        matrix = partial(_overall_matrix, comparison, places, baselines, prefix)
+        first = _in_their_place("Matrix", matrix)
         what = "Performance profile and critical differences"
         blocks = partial(_overall_blocks, comparison, prefix)
         sections = [Section("problems", what, _in_their_place(what, blocks))]
@@ -419,9 +427,16 @@ def _rows_over_problems(
 
 
 def _overall_matrix(
-    comparison: Overall, places: Sequence[Place], rows: Sequence[ControllerResults], prefix: str
-) -> Table:
-    return matrix_table(places, rows, first_columns(comparison, rows), [RANKS_NOTE], prefix)
+    comparison: Overall, places: Sequence[Place], baselines: OverallBaselines, prefix: str
+) -> list[Block]:
+    columns, notes = first_columns(comparison, baselines), [RANKS_NOTE, *baselines.notes()]
+    table = matrix_table(places, baselines.order, columns, notes, prefix)
+    return [*_tables(table), *_baseline(baselines.choice(f"{prefix}matrix"))]
+
+
+def _baseline(choice: dict[str, Any] | None) -> list[Block]:
+    """Return what lets the reader choose a baseline; other formats than the page leave it out."""
+    return [("baseline", choice)] if choice else []
 
 
 def _places(
@@ -524,9 +539,7 @@ class _Part:
         return baselines_of(self.standings, results.cases, order, results.study.report.baseline)
 
     def _choice(self, table: str, order: Sequence[ControllerResults]) -> list[Block]:
-        """Return what lets the reader choose a baseline; other formats than the page leave it out."""
-        choice = self._baselines(order).choice(f"{self.prefix}{table}")
-        return [("baseline", choice)] if choice else []
+        return _baseline(self._baselines(order).choice(f"{self.prefix}{table}"))
 
     def first(self) -> list[Block]:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""

@@ -87,12 +87,14 @@ class Sweep:
 
 
 def sweeps(condition: Condition) -> list[Sweep]:
-    """Return the sweeps of a condition, in the study's order."""
+    """Return the sweeps of a condition: the controllers as they are ranked, of each in the study's order."""
     groups: dict[tuple[str, tuple[str, ...]], list[ControllerResults]] = {}
     for variant in condition.variants:
         section = condition.results.study.controllers[variant.key]
         groups.setdefault((section.variant_of, tuple(section.varied)), []).append(variant)
-    return [Sweep(condition, base, settings, tuple(group)) for (base, settings), group in groups.items()]
+    place = {controller.key: i for i, controller in enumerate(condition.controllers)}
+    ranked = sorted(groups, key=lambda group: place.get(group[0], len(place)))
+    return [Sweep(condition, base, settings, tuple(groups[base, settings])) for base, settings in ranked]
 
 
 def sweep_statements(condition: Condition) -> list[Statement]:
@@ -343,7 +345,10 @@ def variants_table(condition: Condition, variants: Sequence[StudyResults], prefi
         f"Variants of the study: {metric_words(key)}",
         (
             Heading("Variant", numeric=False),
-            *(Heading(controller.label, metric_unit(key)) for controller in condition.controllers),
+            *(
+                Heading(controller.label, metric_unit(key), colour=controller.index)
+                for controller in condition.controllers
+            ),
         ),
         tuple(Row(words, tuple(column[i] for column in columns)) for i, (words, _) in enumerate(rows)),
         ("Medians over the seeds; in brackets how many runs failed, where any did.",),

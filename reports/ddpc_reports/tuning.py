@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table, own_rows
 from ddpc_reports.comparison import metric_words
 from ddpc_reports.figures.charts import front_chart
-from ddpc_reports.figures.figure import Figure, one_chart
+from ddpc_reports.figures.figure import Figure, Key, one_chart
 from ddpc_reports.tables.settings import mapping_text
 from ddpc_reports.tables.table import Column, number_cells
 from ddpc_reports.verdict import counted
@@ -163,10 +163,11 @@ def front_figures(results: StudyResults, prefix: str) -> list[Figure]:
     figures = []
     for number, search in enumerate(searches, start=1):
         if rows := _points(search):
-            caption = _caption(objectives, search, len(rows))
+            caption = _caption(search, len(rows))
             chart = front_chart(rows, objectives[:2], joined=len(objectives) == 2)
             name = f"{prefix}front-{number}"
-            figures.append(one_chart(name, "Front of the objectives", caption, chart, search.label))
+            keys = _keys(rows, joined=len(objectives) == 2)
+            figures.append(one_chart(name, "Front of the objectives", caption, chart, search.label, keys))
     return figures
 
 
@@ -186,12 +187,21 @@ def _points(search: _Search) -> list[dict[str, Any]]:
     ]
 
 
-def _caption(objectives: Sequence[str], search: _Search, shown: int) -> str:
+def _caption(search: _Search, shown: int) -> str:
     left_out = len(search.trials) - shown
     rest = f" Left out: {counted(left_out, 'trial')} with more failed runs or no figures." if left_out else ""
-    line = "the line joins" if len(objectives) == 2 else "full ones are"
     return (
-        f"{search.label}: one dot per trial; {line} those than which no other is better in one objective "
-        f"and worse in none; diamond: the trial chosen, within 1\u00a0% of the best in the first objective; "
-        f"square: as given.{rest}"
+        f"{search.label}: trials over two objectives, lower and further left is better. The one chosen is "
+        f"within 1\u00a0% of the best in the first objective.{rest}"
+    )
+
+
+def _keys(rows: Sequence[Mapping[str, Any]], *, joined: bool) -> tuple[Key, ...]:
+    """Return what the marks mean; a line joins the front of two objectives."""
+    front = "no other is better in one and worse in none"
+    return (
+        Key("trial", "var(--accent)", shape="small-dot"),
+        Key(front, "var(--accent)") if joined else Key(front, "var(--accent)", shape="dot"),
+        Key("trial chosen", "var(--ink)", shape="ring"),
+        *([Key("as given", "var(--ink)", shape="square")] if any(row["given"] for row in rows) else []),
     )

@@ -236,7 +236,7 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
     lines = [(_signal(condition, key, keys), _in_short(condition, key)) for key in keys]
     what = " and ".join(dict.fromkeys(condition.name_of(key) for key in keys))
-    text = Markup("In {}{}:").format(what, over) + by_signal(lines)
+    text = Markup("In {}{}: ").format(what, over) + by_signal(lines)
     return Statement(topic, text + _too_few_seeds([condition], keys))
 
 
@@ -251,7 +251,8 @@ def _in_short(condition: Condition, key: str) -> Markup:
     else:
         first = _first(condition, key, alike[0])
         text = Markup("{} {}").format(first, median_and_range(alike[0].over_seeds(key), key))
-    unsure = condition.level_with_first(key)
+    shared = {controller.key for controller in alike}
+    unsure = [member for member in condition.level_with_first(key) if member.key not in shared]
     if unsure:
         values = {controller.key: show(value) for value, controller in order}
         named = [italic(controller.label) + f" {values[controller.key]}" for controller in unsure]

@@ -1,6 +1,7 @@
 """Requirements and baselines on the page: what is there without a script, and what the reader chooses."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,12 @@ import pytest
 from selenium import webdriver
 from selenium.webdriver.support.ui import Select
 
-from ddpc_cosim import Trace
+from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim.study.file_format.sections import StudyHead
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports import write_json, write_markdown, write_report
 from ddpc_reports.requirements import overall_words
+from ddpc_reports.sections import gather
 
 from .synthetic import make_results_in, make_trace
 from .test_accessibility import AXE, FAULTS
@@ -148,3 +152,57 @@ def test_of_several_problems_the_first_screen_says_which_pass(tmp_path: Path) ->
     assert words is not None
     assert "not passed in strict; passed in lenient." in words
     assert overall_words([make_results_in(tmp_path / "none", seeds=[0])]) is None
+
+
+def test_the_baseline_is_part_of_the_address(browser: webdriver.Chrome, pages: dict[str, str]) -> None:
+    script = "return [location.hash, document.querySelector('.against select').value]"
+    open_page(browser, pages["one"])
+    Select(element(browser, ".against select")).select_by_visible_text("quick one")
+    assert browser.execute_script(script) == ["#against=quick", "quick"]
+    Select(element(browser, ".against select")).select_by_index(0)
+    assert browser.execute_script(script) == ["#against=", ""]
+    browser.back()
+    assert browser.execute_script(script) == ["#against=quick", "quick"]
+    Select(element(browser, ".against select")).select_by_visible_text("slow one")
+    assert browser.execute_script(script) == ["", "slow"]
+    open_page(browser, f"{pages['two']}#against=slower&show=quick,slow")
+    assert browser.execute_script(script)[1] == "slower"
+    assert "against slower one" in browser.execute_script(HEADS, "s1-matrix")
+    open_page(browser, f"{pages['one']}#against=nothing-like-it")
+    assert browser.execute_script(script)[1] == "slow"
+
+
+def test_over_all_problems_it_is_counted_where_others_are_better(
+    browser: webdriver.Chrome, tmp_path: Path
+) -> None:
+    """Three problems, in the last of which the order is the reverse; the choice holds for all parts."""
+    parts = [
+        make_results_in(
+            tmp_path / name,
+            lambda key, seed, sign=sign: make_trace(LAGS[key] if sign else 1.6 - LAGS[key], noise_seed=seed),
+            {key: {"type": "a", "label": f"{key} one"} for key in LAGS},
+            seeds=["0:8"],
+            name=name,
+            report={"baseline": "slow"},
+        )
+        for name, sign in (("one", True), ("two", True), ("three", False))
+    ]
+    cases = tuple(replace(case, problem=part.study.name) for part in parts for case in part.cases)
+    whole = WholeStudy(StudyHead(name="all"), {part.study.name: part.study for part in parts})
+    results = StudyResults(parts[0].folder, whole, cases, {})
+    table = gather([results]).parts[0].first[0][1]
+    (place,) = [i for i, heading in enumerate(table.headings) if heading.title == "against slow one"]
+    counts = {row.key: row.cells[place - 1].text for row in table.rows}
+    assert counts == {"slow": "baseline", "quick": "2 better, 1 worse", "slower": "1 better, 2 worse"}
+    open_page(browser, write_report([results], tmp_path / "report.html").as_uri())
+    Select(element(browser, ".against select")).select_by_visible_text("quick one")
+    said = {row[0]: row[3] for row in browser.execute_script(ROWS, "s1-matrix")}
+    assert said == {
+        "quick one": "baseline",
+        "slow one": "1 better, 2 worse",
+        "slower one": "1 better, 2 worse",
+    }
+    values = "return [...document.querySelectorAll('.against select')].map((select) => select.value)"
+    assert browser.execute_script(values) == ["quick"] * 4
+    assert "against quick one" in browser.execute_script(HEADS, "s3-ranking")
+    assert browser.get_log("browser") == []

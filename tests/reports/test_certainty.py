@@ -187,3 +187,14 @@ def test_each_of_several_signals_and_scenarios_says_how_sure_it_is(make_results:
     ((_, across),) = across_statements(conditions(results))
     assert "The seeds do not tell the first apart in" in across
     assert {row.group for row in table_of(results).rows} >= {"mean absolute error of force / N"}
+
+
+def test_how_many_seeds_are_ahead_is_a_whole_number(make_results: MakeResults) -> None:
+    """One of eleven, whose share times eleven is not exactly one."""
+
+    def ahead_once(key: str, seed: int) -> Trace:
+        return make_trace(0.5 if key == "quick" or seed == 3 else 0.8, noise_seed=seed + 50 * (key == "slow"))
+
+    results = make_results(ahead_once, {"quick": {"type": "x"}, "slow": {"type": "x"}}, seeds=[*range(11)])
+    texts = [row.cells[6].text for row in table_of(results).rows]
+    assert all(re.fullmatch(r"\d+(\.5)? of 11|\N{EN DASH}", text) for text in texts)

@@ -93,3 +93,13 @@ def test_axe_finds_nothing_to_fault(
     finally:
         chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+def test_a_page_without_charts_has_nothing_to_draw_them(
+    chromium: webdriver.Chrome, runs: tuple[StudyResults, StudyResults], tmp_path: Path
+) -> None:
+    page = write_differences(*runs, "18 of 24 cases agree", [], tmp_path / "d.html")
+    assert 'id="chart-library"' not in text_of(page)
+    assert page.stat().st_size < 150_000
+    open_page(chromium, page.as_uri())
+    assert chromium.get_log("browser") == []

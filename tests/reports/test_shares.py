@@ -136,7 +136,7 @@ def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> N
     assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in statements["Distance"]
     assert "; Fair 83 % (from failed in p2 to 84 % in p0); Poor failed." in statements["Distance"]
     assert statements["Which where"].startswith("p0: Good")
-    assert "Good a median step time of 40.0 µs, no recording, 1" in statements["Cost"]
+    assert "Good a median step time of 40.0 µs, no recording, 1" in statements["Needs"]
     table = overall_table(comparison, "")
     assert [row.key for row in table.rows] == ["good", "fair", "poor", "ideal", "rest"]
     assert cells(table, "average rank")["ideal"] == "\N{EN DASH}"

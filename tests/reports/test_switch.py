@@ -407,3 +407,20 @@ def test_a_long_table_that_is_folded_is_set_when_it_is_opened(
     table.find_element(By.CSS_SELECTOR, "thead th:nth-child(4) .sort").click()
     values = [float(text) for text in browser.execute_script(script, table)]
     assert values == sorted(values)
+
+
+def test_the_legend_hides_columns_of_settings_too(
+    browser: webdriver.Chrome, page: str, tmp_path: Path
+) -> None:
+    controllers = {key: {"type": "a", "settings": {"gain": 2.0}} for key in ("quick", "slow")}
+    results = make_results_in(tmp_path / "results", None, controllers)
+    report = write_report([results], tmp_path / "report.html").as_uri()
+    open_page(browser, f"{report}#show=slow")
+    element(browser, "#s1-settings").find_element(By.XPATH, "ancestor::summary").click()
+    script = (
+        "return [...document.getElementById('s1-settings-a-table').rows].map((row) =>"
+        " [...row.cells].filter((cell) => cell.checkVisibility()).map((cell) => cell.textContent))"
+    )
+    assert browser.execute_script(script) == [["Setting", "slow", "meaning"], ["gain", "2", "\N{EN DASH}"]]
+    element(browser, "button.entry[data-controller=quick]").click()
+    assert browser.execute_script(script)[0] == ["Setting", "quick", "slow", "meaning"]

@@ -97,3 +97,15 @@ def test_a_file_that_is_another_costs_the_section_alone(content: str, tmp_path: 
     (results.folder / "trials.csv").write_text(content, encoding="utf-8")
     with pytest.warns(UserWarning, match="Tuning: cannot be shown"):
         assert 'id="s1-ranking-table"' in render_page([results])
+
+
+def test_the_marks_of_a_front_are_explained_in_the_figure(tmp_path: Path) -> None:
+    (figure,) = front_figures(tuned(tmp_path / "two", "rmse,total_variation", TWO), "x-")
+    assert [(key.label, key.shape) for key in figure.keys] == [
+        ("trial", "small-dot"),
+        ("no other is better in one and worse in none", ""),
+        ("trial chosen", "ring"),
+        ("as given", "square"),
+    ]
+    assert all(key.path or not key.shape for key in figure.keys)
+    assert "diamond" not in figure.caption

@@ -348,7 +348,7 @@ def test_several_outputs_are_told_in_one_statement_each(make_results: MakeResult
     results = make_results(trace_of, seeds=[7, 8, 9])
     texts = statements(results)
     assert texts["Tracking"].startswith(
-        "In mean absolute error, medians over 3 seeds and ranges:angle: quick"
+        "In mean absolute error, medians over 3 seeds and ranges: angle: quick"
     )
     assert "speed: quick" in texts["Tracking"]
     assert "Spread" not in texts
@@ -408,3 +408,16 @@ def test_twins_share_the_first_place_of_each_output_and_scenario(make_results: M
         "<b>a</b> and <b>twin</b> share the smallest mean absolute error in <i>calm</i> and <i>windy</i>"
         in across
     )
+
+
+def test_who_shares_the_best_value_is_not_told_apart_once_more(make_results: MakeResults) -> None:
+    """Two of three are the same law: beside their value only the third is not told apart."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        lag = 0.5 + 0.002 * np.random.default_rng([seed, key == "other"]).standard_normal()
+        return make_trace(lag, outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE), noise_seed=seed)
+
+    controllers = {key: {"type": "a"} for key in ("one", "twin", "other")}
+    said = str(statements(make_results(trace_of, controllers, seeds=["0:8"]))["Tracking"])
+    (sharing,) = re.findall("angle: (.*?)[.] ", said)
+    assert sharing.count("twin") == sharing.count("one") == 1

@@ -51,10 +51,12 @@ class Entry:
 
 SHAPES = {
     "dot": "M10,4a3,3 0 1 0 6,0a3,3 0 1 0 -6,0Z",
+    "small-dot": "M11.5,4a1.5,1.5 0 1 0 3,0a1.5,1.5 0 1 0 -3,0Z",
     "tick": "M12,-1h2v10h-2Z",
     "triangle": "M13,0l4.5,8h-9Z",
     "diamond": "M13,-1l4,5l-4,5l-4,-5Z",
     "ring": "M13,-1l4,5l-4,5l-4,-5Zm0,2l-2.4,3l2.4,3l2.4,-3Z",
+    "square": "M9.5,.5h7v7h-7Zm1.4,1.4v4.2h4.2v-4.2Z",
     "cross": "M11.5,-.5h3v3h3v3h-3v3h-3v-3h-3v-3h3Z",
 }
 """Marks in a legend, as paths in a box of 26 by 8."""

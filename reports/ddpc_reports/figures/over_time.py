@@ -149,7 +149,8 @@ def scenario_marks(condition: Condition) -> tuple[list[Mark], str]:
     if section:  # known disturbances have figures of their own
         drawn = results.study.disturbances
         section = replace(section, inputs={k: v for k, v in section.inputs.items() if k not in drawn})
-    for effect in scenario_effects(section, own_units(traces)) if section else []:
+    effects = scenario_effects(section, own_units(traces), results.study.prices) if section else []
+    for effect in effects:
         within = [mark for mark in effect.marks if start < mark.end and mark.begin < end]
         within = [mark for mark in within if mark.end > mark.begin or mark.begin > start]
         (marked if within else rest).append(effect.text)

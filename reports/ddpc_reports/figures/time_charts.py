@@ -128,6 +128,14 @@ def _near(*names: str) -> list[Spec]:
     return [{"calculate": f"clamp(datum['{name}'], {within})", "as": name} for name in names]
 
 
+def _in_span(*names: str) -> list[Spec]:
+    """Draw spans of time to the edges of the time shown: beyond, their boxes would cover texts around."""
+    return [
+        {"calculate": f"span == null ? datum.{name} : clamp(datum.{name}, span[0], span[1])", "as": name}
+        for name in names
+    ]
+
+
 def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
     shape = "step-after" if signal.held else "linear"
     return layer(
@@ -268,6 +276,7 @@ def _marks(placed: tuple[list[Label], list[Mark]], x: Spec) -> list[Spec]:
     """Shade spans and rule instants, their labels in rows above the chart."""
     labels, marks = placed
     spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
+    kept = [{"filter": "span == null || (datum.to > span[0] && datum.t < span[1])"}, *_in_span("t", "to")]
     rules = [label._asdict() for label in labels]
     shade = {"type": "rect", "clip": True, "color": "var(--ink)", "opacity": 0.06}
     rule = {"type": "rule", "strokeWidth": 0.8, "strokeDash": [1, 2], "clip": True}
@@ -287,8 +296,8 @@ def _marks(placed: tuple[list[Label], list[Mark]], x: Spec) -> list[Spec]:
     named = {"x": x, "text": {"field": "label", "type": "nominal"}}
     shown = {"filter": "span == null || (datum.t >= span[0] && datum.t <= span[1])"}
     return [
-        *([layer(shade, {"x": x, "x2": {"field": "to"}}, spans)] if spans else []),
-        *([layer(rule | soft, {"x": x}, rules), layer(words, named, rules, shown)] if rules else []),
+        *([layer(shade, {"x": x, "x2": {"field": "to"}}, spans, *kept)] if spans else []),
+        *([layer(rule | soft, {"x": x}, rules, shown), layer(words, named, rules, shown)] if rules else []),
     ]
 
 
@@ -320,6 +329,7 @@ def _band(x: Spec) -> Spec:
         {"filter": "band != null"},
         {"calculate": "band[0]", "as": "t"},
         {"calculate": "band[1]", "as": "to"},
+        *_in_span("t", "to"),
     )
 
 

@@ -9,7 +9,7 @@ from ddpc_cosim.metrics import discomfort, metric_name
 from ddpc_reports.comparison import Condition, ControllerResults, metric_unit, metric_words
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import trade_chart
-from ddpc_reports.figures.figure import Figure, View, entry
+from ddpc_reports.figures.figure import Figure, Key, View, entry
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.figures.time_charts import NARROW, WIDE
 from ddpc_reports.numbers import significant, with_unit
@@ -51,14 +51,17 @@ def trade_figure(conditions: Sequence[Condition], prefix: str) -> Figure | None:
         drawn = {row["key"] for row in rows}
         shown |= {c.key: c for c in condition.controllers if column_name(c) in drawn}
     legend = tuple(entry(controller, of_first=False) for controller in shown.values())
-    seeds = "" if len(conditions[0].seeds) < 2 else ": its median over the seeds, which are the faint dots"
-    front = "; the line joins those than which no other is better in one and at least as good in the other"
-    points = ", diamonds: the reference points" if any(condition.points for condition in conditions) else ""
-    caption = (
-        f"Comfort against money, lower and further left is better: one dot per controller{seeds}{points}"
-        f"{front if joined else ''}. Runs that failed are left out."
+    every_row = [row for _, rows in charts for row in rows]
+    has_seeds = not all(row["median"] for row in every_row)
+    median = "median over the seeds" if has_seeds else "controller"
+    keys = (
+        Key(median, "var(--ink-soft)", shape="dot"),
+        *([Key("one seed", "var(--ink-soft)", shape="small-dot")] if has_seeds else []),
+        *([Key("reference point", "var(--ink)", shape="ring")] if any(r["point"] for r in every_row) else []),
+        *([Key("no other is better in one and as good in the other", "var(--ink-soft)")] if joined else []),
     )
-    return Figure(f"{prefix}trade", "Comfort against money", caption, tuple(views), legend)
+    caption = "Comfort against money, lower and further left is better. Runs that failed are left out."
+    return Figure(f"{prefix}trade", "Comfort against money", caption, tuple(views), legend, keys=keys)
 
 
 def trade_rows(condition: Condition, money: str, left: str) -> list[dict[str, Any]]:

@@ -106,6 +106,8 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
             f"{which}All metrics of every case are in the file metrics.csv next to the results. "
             "Values of cases that did not complete cover their samples up to where they ended. "
             "Of a run that failed, figures of the response would say nothing.",
+            "The rows stand as controllers are ranked. Those of metrics.csv keep the order of the study, "
+            "whatever the figures are, so that the files of two runs can be compared line by line.",
         ),
         sortable=True,
         kind="cases",

@@ -9,7 +9,7 @@ from ddpc_cosim import OK, CaseResult, Outcome, StudyResults
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.files.texts import NUMBER, alike, without_folders
 from ddpc_reports.comparison import labels
-from ddpc_reports.numbers import MISSING, as_given, computed, integer, with_unit
+from ddpc_reports.numbers import MISSING, computed, given_time, integer
 
 _READ = 200
 """Cases whose samples are read for the reasons of fallbacks: as many of each controller and scenario."""
@@ -161,7 +161,7 @@ def _rows(reasons: Sequence[_Reason], kind: str, results: StudyResults, *, sampl
             Cell(integer(len(cases)), len(cases)),
             Cell(integer(events), events) if sampled else Cell(MISSING),
             Cell(case_words(first.case) if first else MISSING),
-            Cell(MISSING if not first or math.isnan(first.time) else _given_time(first.time)),
+            Cell(MISSING if not first or math.isnan(first.time) else given_time(computed(first.time))),
         )
         return Row(words, cells, group=kind)
 
@@ -175,7 +175,3 @@ def _rows(reasons: Sequence[_Reason], kind: str, results: StudyResults, *, sampl
 def _listed(names: Sequence[str]) -> str:
     more = len(names) - _NAMED
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _given_time(time: float) -> str:
-    return with_unit(as_given(computed(time)), "s")

@@ -289,7 +289,8 @@ def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *,
     )
     able = [value for value, able in zip(medians, marked, strict=True) if able and not math.isnan(value)]
     best = min(able, default=math.nan)
-    signal = metric_signal(key) if len(condition.headline) > 1 else ""
+    # Money is of the whole run: it has no signal.
+    signal = metric_signal(key) or condition.name_of(key) if len(condition.headline) > 1 else ""
     detail = " / ".join(filter(None, (signal, metric_unit(key))))
     title = condition.label if condition.label != condition.scenario or not several else condition.scenario
     heading = Heading(title, detail, group=place.problem if several else "", href=place.href)
@@ -333,7 +334,9 @@ def _tone(value: float, best: float) -> str:
 def rank_columns(ranking: Standings, baselines: Baselines) -> list[Column]:
     """Return the ranks over all scenarios of a problem, what differs from a baseline, and failed runs."""
     order = baselines.order
-    return [_rank_column(ranking, order), *baselines.columns(), *_failed_columns(ranking, order)]
+    rank = _rank_column(ranking, order)
+    ranks = [rank] if any(cell.text for cell in rank[1]) else []
+    return [*ranks, *baselines.columns(), *_failed_columns(ranking, order)]
 
 
 def rank_notes(ranking: Standings, left_out: Mapping[str, str]) -> list[str]:

@@ -10,7 +10,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from ddpc_cosim import CosimError, Drift, ForecastFile, Ramp, StudyResults, Trace, Variable, declared_settings
+from ddpc_cosim import (
+    CosimError,
+    Drift,
+    ForecastFile,
+    Price,
+    Ramp,
+    StudyResults,
+    Trace,
+    Variable,
+    declared_settings,
+)
 from ddpc_cosim.codec import differing, write
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table, text_headings
@@ -100,7 +110,7 @@ def _family_table(
         f"Settings of type {family}",
         (
             Heading("Setting", numeric=False),
-            *(Heading(member.label) for member in members),
+            *(Heading(member.label, colour=member.index) for member in members),
             Heading("meaning", numeric=False),
         ),
         rows,
@@ -277,7 +287,8 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     facts += [
         (
             f"scenario {_labelled(name, section.label)}",
-            ";\n".join(effect.text for effect in scenario_effects(section, units)) or "nothing changed",
+            ";\n".join(effect.text for effect in scenario_effects(section, units, study.prices))
+            or "nothing changed",
         )
         for name, section in study.scenarios.items()
     ]
@@ -519,8 +530,11 @@ class Effect:
     marks: tuple[Mark, ...] = ()
 
 
-def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list[Effect]:
-    """Return all that a scenario changes, in the order of a study file."""
+def scenario_effects(
+    section: ScenarioSection, units: Mapping[str, str], prices: Mapping[str, Price] | None = None
+) -> list[Effect]:
+    """Return all that a scenario changes, in the order of a study file; ``prices`` are those of the study."""
+    price_units = {name: price.unit for name, price in (prices or {}).items()}
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
     said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs", "known", "prices"}
     said |= {"label", "bounds", "recording", *section.effects}
@@ -541,7 +555,10 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
             for name, signal in section.inputs.items()
         ),
         *(Effect(f"{_plain(name)}: {_KNOWN[known]}") for name, known in section.known.items()),
-        *(Effect(f"price of {_plain(name)}: {_price_text(p)}") for name, p in section.prices.items()),
+        *(
+            Effect(f"price of {_plain(name)}: {_course(price, price_units.get(name, ''))}")
+            for name, price in section.prices.items()
+        ),
         *(
             Effect(f"limits of {_plain(name)}: {_signal(bounds, units.get(name, ''))}")
             for name, bounds in section.bounds.items()
@@ -562,11 +579,6 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
         *(Effect(f"{name}: {text}") for name, text in _others(section, said)),
         *([Effect(_recording_text(section.recording))] if section.recording else []),
     ]
-
-
-def _price_text(price: Any) -> str:
-    """Write a price in place of the study's, whose unit it has."""
-    return as_given(price) if isinstance(price, int | float) else _written_signal(write(price))
 
 
 def _in_unit(value: float, unit: str) -> str:

@@ -14,7 +14,8 @@
     const head = [...table.tHead.rows];
     const titles = head.at(-1).cells;
     const made = !rows[0].querySelector("td.versus");
-    const first = made ? rows[0].querySelector("td.rank").cellIndex + 1 : rows[0].querySelector("td.versus").cellIndex;
+    const beside = rows[0].querySelector("td.rank") || rows[0].querySelector("td.drawn") || rows[0].cells[0];
+    const first = made ? beside.cellIndex + 1 : rows[0].querySelector("td.versus").cellIndex;
     if (made) {
       details.forEach((_, place) => {
         for (const row of head.slice(0, -1)) row.insertBefore(element("td"), row.cells[first + place]).hidden = true;
@@ -55,7 +56,8 @@
     const labels = Object.fromEntries([...select.options].map((option) => [option.value, option.textContent]));
     select.value = box.dataset.chosen; // a browser that goes back keeps another one
     const choose = () => show(columns, select.value && labels[select.value], pairs[select.value]);
-    select.addEventListener("change", choose);
+    // The reader chooses, or the address does.
+    for (const kind of ["change", "chosen"]) select.addEventListener(kind, choose);
     choose();
     box.hidden = false;
   }

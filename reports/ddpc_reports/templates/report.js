@@ -12,6 +12,7 @@
   const inView = new Set(); // boxes
   const hidden = new Set(); // lines of the controllers that the reader hid, on the whole page
   const spans = {}; // the time shown, by part of the page
+  let against; // the controller that the others are told against; undefined: that of the study
   const columns = {}; // samples by data set, once they are drawn
   const COLOURS = Number(document.documentElement.dataset.colours);
   let page, library, working, status;
@@ -558,6 +559,11 @@
     const keys = new Set(Object.keys(lines).filter((key) => hidden.has(lines[key])));
     for (const button of buttons()) button.setAttribute("aria-pressed", String(!keys.has(button.dataset.controller)));
     for (const entry of all("tr[data-controller], .legend li[data-controller], .smalls > li[data-controller]")) entry.hidden = keys.has(entry.dataset.controller);
+    for (const head of all("thead th[data-controller]")) {
+      for (const row of head.closest("table").rows) {
+        if (row.cells[head.cellIndex]) row.cells[head.cellIndex].hidden = keys.has(head.dataset.controller);
+      }
+    }
     for (const body of all("tbody > .group").map((row) => row.parentElement)) {
       body.hidden = all("tr:not(.group)", body).every((row) => row.hidden);
     }
@@ -626,6 +632,18 @@
     announce(document.querySelector(".shown-words").textContent);
   }
 
+  const choices = () => all(".against select");
+  const initial = (select) => select.closest(".against").dataset.chosen;
+
+  // One baseline for the whole page; a part that does not have it keeps that of the study.
+  function chooseAgainst() {
+    for (const select of choices()) {
+      const known = [...select.options].some((option) => option.value === against);
+      select.value = known ? against : initial(select);
+      select.dispatchEvent(new Event("chosen"));
+    }
+  }
+
   // Panels get their roles here: without scripts they are folded sections.
   function enablePanels(list) {
     const within = list.closest("[data-part]");
@@ -671,6 +689,13 @@
         if (button.dataset.first !== "all") Object.values(lines).filter((line) => !shown.includes(line)).forEach((line) => hidden.add(line));
       }));
     }
+    for (const select of choices()) {
+      select.addEventListener("change", () => {
+        against = select.value;
+        chooseAgainst();
+        writeAddress();
+      });
+    }
     readAddress();
     window.addEventListener("popstate", onAddress);
     if (anchorOf(location.hash)) reveal(anchorOf(location.hash));
@@ -703,6 +728,8 @@
     if (keys.length || said.show === "") Object.keys(lines).filter((key) => !keys.includes(key)).forEach((key) => hidden.add(lines[key]));
     const ends = SPAN.exec(said.zoom || "");
     const span = ends && [Number(ends[1]), Number(ends[2])];
+    against = "against" in said ? decoded(said.against) : undefined;
+    chooseAgainst();
     for (const part of Object.keys(spans)) delete spans[part];
     if (span && span[0] < span[1]) spans[partShown()] = span;
     show();
@@ -718,6 +745,7 @@
     }
     const keys = Object.keys(lines);
     if (hidden.size) add("show", keys.filter((key) => !hidden.has(lines[key])).map(encodeURIComponent).join(","));
+    if (against !== undefined && choices().some((select) => select.value !== initial(select))) add("against", encodeURIComponent(against));
     if (spans[part]) add("zoom", spans[part].map((end) => Number(end.toPrecision(6))).join(".."));
     return `#${terms.join("&")}`;
   }

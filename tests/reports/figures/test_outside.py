@@ -178,6 +178,8 @@ def test_comfort_is_drawn_against_money(results: StudyResults) -> None:
         assert row["front"] is not beaten
     figure = trade_figure([condition], "x-")
     assert figure is not None
+    assert [key.label for key in figure.keys][:2] == ["median over the seeds", "one seed"]
+    assert "dot" not in figure.caption
     assert "EUR" in figure.views[0].description
 
 

@@ -105,6 +105,19 @@ def test_a_run_that_starts_late_tells_its_own_time(make_results: MakeResults) ->
     assert (reason, cells[-1]) == ("crashed", f"{100 + SAMPLING_TIME * (rows - 1):.4g}\u00a0s")
 
 
+def test_a_late_moment_is_told_as_people_say_it(make_results: MakeResults) -> None:
+    """A week and an hour after the start of its year."""
+    loop = {"sampling_time": SAMPLING_TIME, "duration": 6.0, "start_time": 7 * 86400.0 + 3594.3}
+    results = make_results(
+        lambda key, seed: replace(
+            trace := make_trace(0.5, fallbacks=4), time=trace.time + loop["start_time"]
+        ),
+        loop=loop,
+    )
+    ((*_, cells),) = said(results)
+    assert cells[-1] == "7\u00a0d\u00a01\u00a0h"
+
+
 def test_warnings_before_the_loop_are_told_with_their_cases(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         warned = (f"a dead time of {seed} samples",) if key == "slow" else ()

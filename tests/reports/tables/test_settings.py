@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from markupsafe import Markup
 
-from ddpc_cosim import ConfigError, StudyResults, Trace
+from ddpc_cosim import ConfigError, Price, StudyResults, Trace
 from ddpc_cosim.codec import Kinds, declared_fields, read, write
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.files.tables import Table
@@ -19,6 +19,7 @@ from ddpc_cosim.study.file_format.sections import (
     ClaimSection,
     ReferencePoints,
     ReportSection,
+    ScenarioSection,
     SearchSection,
     Study,
 )
@@ -28,7 +29,7 @@ from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time
 from ddpc_reports.page import render_page
 from ddpc_reports.tables import settings as settings_module
-from ddpc_reports.tables.settings import family_tables, settings_tables, value_text
+from ddpc_reports.tables.settings import family_tables, scenario_effects, settings_tables, value_text
 
 from ..synthetic import MakeResults, make_study, make_trace
 
@@ -647,3 +648,14 @@ def test_a_type_without_settings_has_no_table(make_results: MakeResults) -> None
     controllers = {"quick": {"type": "a"}, "slow": {"type": "b", "settings": {"gain": 2.0}}}
     condition = conditions(make_results(trace_of, controllers))[0]
     assert [table.caption for table in family_tables(condition, "")] == ["Settings of type b"]
+
+
+def test_a_price_of_a_scenario_has_the_unit_of_the_study_s() -> None:
+    section = read(ScenarioSection, {"prices": {"power": 0.5, "gas": {"kind": "constant", "value": 2.0}}})
+    prices = {
+        name: Price(signal="u", price=0.2, unit=unit)
+        for name, unit in (("power", "EUR/kWh"), ("gas", "EUR/kg"))
+    }
+    said = [effect.text for effect in scenario_effects(section, {}, prices)]
+    assert said[0] == "price of power: 0.5\u00a0EUR/kWh"
+    assert said[1].endswith("(values in EUR/kg)")
