@@ -184,7 +184,7 @@ def _differences(ranking: Standings, first: str, other: str, show: Show) -> tupl
 
 def _discomfort(ranking: Standings, key: str, first: str, other: str, show: Show) -> str:
     name, signal, _ = split_key(key)
-    noun = _unit(key) if name == "band_violation" else metric_name(name)
+    noun = "discomfort" if name == "band_violation" else metric_name(name)
     of = f" of {signal}" if len(ranking.discomforts) > 1 else ""
     more = _against(ranking, key, first, other, show)
     if not more:

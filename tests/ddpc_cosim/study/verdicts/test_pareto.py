@@ -148,22 +148,22 @@ def test_who_has_a_failed_run_comes_after_all_fronts() -> None:
         (
             {"a": (88.0, 3.0), "b": (100.0, 3.0)},
             Lead.AHEAD,
-            "<b>A</b> costs 12 % less than <i>B</i> at no more K.h over 12 seeds",
+            "<b>A</b> costs 12 % less than <i>B</i> at no more discomfort over 12 seeds",
         ),
         (
             {"a": (88.0, 3.0), "b": (100.0, 6.0)},
             Lead.AHEAD,
-            "<b>A</b> costs 12 % less than <i>B</i> with 50 % less K.h over 12 seeds",
+            "<b>A</b> costs 12 % less than <i>B</i> with 50 % less discomfort over 12 seeds",
         ),
         (
             {"a": (100.0, 3.0), "b": (100.0, 6.0)},
             Lead.AHEAD,
-            "<b>A</b> costs no more than <i>B</i> with 50 % less K.h over 12 seeds",
+            "<b>A</b> costs no more than <i>B</i> with 50 % less discomfort over 12 seeds",
         ),
         (
             {"a": (88.0, 0.0), "b": (88.5, 6.0)},
             Lead.AHEAD,
-            "<b>A</b> costs no more than <i>B</i> with 100 % less K.h over 12 seeds",
+            "<b>A</b> costs no more than <i>B</i> with 100 % less discomfort over 12 seeds",
         ),
         (
             {"a": (55.0, 1.0), "b": (41.0, 12.0), "c": (60.0, 13.0), "d": (47.0, 5.0)},
@@ -171,7 +171,7 @@ def test_who_has_a_failed_run_comes_after_all_fronts() -> None:
             "<b>B</b>, <b>D</b> and <b>A</b> are not dominated over 12 seeds: <i>B</i> is cheapest "
             "(41 EUR, 12 K.h), <i>A</i> is the most comfortable (55 EUR, 1 K.h); against <i>C</i>, the "
             "cheapest of the next front (60 EUR, 13 K.h), in pairs of the same seed <i>B</i> costs 32 % less "
-            "with 7.7 % less K.h and <i>A</i> costs 8.3 % less with 92 % less K.h",
+            "with 7.7 % less discomfort and <i>A</i> costs 8.3 % less with 92 % less discomfort",
         ),
         (
             {"a": (55.0, 1.0), "b": (41.0, 12.0)},
@@ -188,7 +188,7 @@ def test_who_has_a_failed_run_comes_after_all_fronts() -> None:
         (
             {"a": (55.0, 12.0), "b": (41.0, 12.003), "c": (48.0, 12.002)},
             Lead.AHEAD,
-            "<b>B</b> costs 15 % less than <i>C</i> at no more K.h over 12 seeds",
+            "<b>B</b> costs 15 % less than <i>C</i> at no more discomfort over 12 seeds",
         ),
     ],
 )
@@ -234,7 +234,7 @@ def test_what_the_front_saves_is_the_median_of_differences_over_the_median_of_th
         return float(100 * difference / np.median(np.median(other, axis=1)))
 
     clause = lead_clause(findings, LABELS, {}).partition("next front")[2]
-    printed = re.findall(r"<i>(\w)</i> costs (\S+) % less with (\S+) % less K.h", clause)
+    printed = re.findall(r"<i>(\w)</i> costs (\S+) % less with (\S+) % less discomfort", clause)
     assert [name for name, *_ in printed] == ["B", "A"]
     for name, *percents in printed:
         for key, percent in zip((MONEY, DISCOMFORT), percents, strict=True):
@@ -247,7 +247,7 @@ def test_by_money_alone_discomfort_stands_beside_it() -> None:
     assert findings.standings.keys == (MONEY,)
     assert findings.leaders == ("a",)
     assert lead_clause(findings, LABELS, {}) == (
-        "<b>A</b> costs 12 % less than <i>B</i> with 100 % more K.h over 12 seeds"
+        "<b>A</b> costs 12 % less than <i>B</i> with 100 % more discomfort over 12 seeds"
     )
     never = found({"a": (88.0, 6.0), "b": (100.0, 0.0)}, "money")
     assert "with 6 K.h more over 12 seeds" in lead_clause(never, LABELS, {})
