@@ -178,11 +178,12 @@ def bars(shares: Sequence[float], mark: float, label: str, colour: str) -> Marku
     """Return upright bars as high as shares of their room, red without one, and a line at one height."""
     high = 22.0
     step = min(96.0 / max(len(shares), 1), 8.0)
-    parts = []
+    columns: dict[str, list[Line]] = {colour: [], "var(--bad)": []}
     for place, share in enumerate(shares):
         tall, paint = (1.5, "var(--bad)") if math.isnan(share) else (high * min(max(share, 0.0), 1.0), colour)
-        box = f'width="{0.75 * step:.3g}" height="{tall:.3g}"'
-        parts.append(f'<rect x="{place * step:.3g}" y="{high - tall:.3g}" {box} fill="{paint}"/>')
+        middle = (place + 0.375) * step
+        columns[paint].append((middle, high, middle, high - tall))
+    parts = [rules(lines, paint, width=0.75 * step) for paint, lines in columns.items()]
     y = high * (1.0 - mark)
     parts.append(rules([(0.0, y, step * len(shares), y)], "var(--ink-soft)", "1 2"))
     return picture(parts, (round(step * len(shares), 1), high), label, "spark")
@@ -194,10 +195,11 @@ def text(words: str, x: float, y: float, anchor: str = "start") -> str:
     return f'<text x="{_short(x)}" y="{_short(y)}"{side}>{html.escape(printable(words))}</text>'
 
 
-def rules(lines: Sequence[Line], colour: str, dashes: str = "") -> str:
+def rules(lines: Sequence[Line], colour: str, dashes: str = "", width: float = 1.0) -> str:
     """Return straight lines [px] as one path; empty without any."""
     paths = ("M{},{}L{},{}".format(*map(_short, line)) for line in lines)
     more = f' stroke-dasharray="{dashes}"' if dashes else ""
+    more += f' stroke-width="{width:.3g}"' if width != 1.0 else ""
     return f'<path d="{"".join(paths)}" stroke="{colour}"{more}/>' if lines else ""
 
 
