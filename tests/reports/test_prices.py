@@ -74,8 +74,8 @@ def test_one_that_is_cheaper_at_no_more_discomfort_is_said_to_be(make_results: M
 
     results = make_results(trace_of, {"a": {"type": "a"}, "thrifty": {"type": "b"}}, seeds=SEEDS)
     assert re.match(
-        r"thrifty costs 25 % less than a at no more discomfort over 8 seeds: money 0\.62\d EUR \[\S+ … \S+\] and "
-        r"6\.6\d . 10⁻⁴ K·h \[.*\], against 0\.83\d EUR and 6\.6\d . 10⁻⁴ K·h of a\.",
+        r"thrifty costs 25 % less than a at no more discomfort over 8 seeds: money 0\.62\d EUR \[\S+ … \S+\] "
+        r"and 6\.6\d . 10⁻⁴ K·h \[.*\], against 0\.83\d EUR and 6\.6\d . 10⁻⁴ K·h of a\.",
         said(results),
     )
 
