@@ -7,6 +7,7 @@ to sample, outputs are those at the end of each interval.
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.files.csv_files import CSVFile, split_unit, write_table
+from ddpc_cosim.files.durations import EXPECTED_MOMENT, moment_of
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.plant import FMIType, ParameterValue
@@ -126,7 +128,8 @@ def simulate(
     *,
     inputs: "pd.DataFrame | str | Path | None" = None,
     parameters: Mapping[str, ParameterValue] | None = None,
-    stop: float | None = None,
+    start: float | str | date | None = None,
+    stop: float | str | date | None = None,
     step: float | None = None,
     outputs: Sequence[str] | None = None,
     fmi_type: FMIType = "auto",
@@ -147,9 +150,12 @@ def simulate(
         continuous are interpolated, others hold; inputs without a column keep their start values.
     parameters : mapping of str to float, int, bool or str, optional
         Parameters, start values, and inputs that are not driven. A number may have its unit: ``"50 [cm]"``.
-    stop, step : float, optional
-        End of the run and time between samples [s]; default: the FMU's default experiment, else the end of
-        the inputs or 10 s, and 500 intervals.
+    start, stop : float, str or date, optional
+        Start and end of the run [s], or moments as of ``loop.start_time`` of a study: ``"day 23"``, a date of
+        which the time of its year counts, ``"8 h"``. Default: the FMU's default experiment, else 0 and the
+        end of the inputs or 10 s. The times of ``inputs`` and of the result are on the same axis.
+    step : float, optional
+        Time between samples [s]; default: the FMU's default experiment, else 500 intervals.
     outputs : sequence of str, optional
         What is recorded; default: the outputs, of an FMU without any its states or local variables.
     fmi_type : str
@@ -196,7 +202,10 @@ def simulate(
                 isinstance(parameters, Mapping | None),
                 "a mapping of names to values",
             ),
-            ("stop", stop, isinstance(stop, Real | None), "a number of seconds"),
+            *(
+                (name, moment, isinstance(moment, Real | str | date | None), EXPECTED_MOMENT)
+                for name, moment in (("start", start), ("stop", stop))
+            ),
             ("step", step, isinstance(step, Real | None), "a number of seconds"),
             ("outputs", outputs, _are_names(outputs), 'a list of names, such as ["y"]'),
             ("step_timeout", step_timeout, isinstance(step_timeout, Real), "a number of seconds"),
@@ -204,13 +213,20 @@ def simulate(
         )
         if not fits
     ]
+    moments = list[float | None]()
+    for name, moment in (("start", start), ("stop", stop)):
+        try:
+            moments.append(moment_of(moment))
+        except ValueError as error:
+            faults.append(f"{name} = {moment!r} is not possible: {error}")
     if faults:
         raise ConfigError(faults)
     request = SimulationRequest(
         plant=str(plant),
         inputs=None if inputs is None else _input_file(inputs),
         values=parameters or {},
-        stop=stop,
+        start=moments[0],
+        stop=moments[1],
         step=step,
         outputs=outputs,
         fmi_type=fmi_type,

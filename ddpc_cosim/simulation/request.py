@@ -11,7 +11,7 @@ import numpy as np
 
 from ddpc_cosim.codec import read
 from ddpc_cosim.conditions import Conditions
-from ddpc_cosim.description import PlantDescription, choose_signals
+from ddpc_cosim.description import DefaultExperiment, PlantDescription, choose_signals
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
@@ -39,6 +39,7 @@ class SimulationRequest(NamedTuple):
     plant: str
     inputs: CSVFile | None = None
     values: Mapping[str, ParameterValue] = {}
+    start: float | None = None
     stop: float | None = None
     step: float | None = None
     outputs: Sequence[str] | None = None
@@ -347,21 +348,24 @@ def _times(
     subject: _Subject, request: SimulationRequest, driven: Mapping[str, Steps], golden: Golden | None
 ) -> tuple[float, float, int, list[str]]:
     """Return start time, time between samples [s], number of intervals, and what was chosen."""
-    experiment = subject.description.default_experiment
-    start, notes, faults = experiment.start_time or 0.0, list[str](), list[str]()
+    experiment, faults = subject.description.default_experiment, list[str]()
+    start, notes = _start(request.start, experiment, golden)
     stop, step = request.stop, request.step
     if stop is None and golden is not None and golden.time[-1] > start:
         stop = float(golden.time[-1])
         notes.append(f"stop = {stop:g} s, as in {golden.path.name}")
-    if stop is None and experiment.stop_time is not None and experiment.stop_time > start:
-        stop = experiment.stop_time
+    if stop is None and experiment.stop_time is not None:
+        stop, said = _default_stop(start, experiment.start_time or 0.0, experiment.stop_time)
+        notes += said
     if stop is None:
         ends = [signal.times[-1] for signal in driven.values()]
         stop = ends[0] if ends and ends[0] > start else start + _DURATION
         notes.append(
             f"stop = {stop:g} s, as the plant does not say" + (": the end of the inputs" if ends else "")
         )
-    if not start < stop < math.inf:
+    if not math.isfinite(start):
+        faults.append(f"start = {start:g} s is not possible; allowed: a finite number")
+    elif not start < stop < math.inf:
         faults.append(f"stop = {stop:g} s is not possible; allowed: a number > {start:g}, the start time")
     if step is not None and not 0 < step < math.inf:
         faults.append(f"step = {step:g} s is not possible; allowed: a number > 0")
@@ -383,6 +387,30 @@ def _times(
     return start, step, count, notes
 
 
+def _start(
+    asked: float | None, experiment: DefaultExperiment, golden: Golden | None
+) -> tuple[float, list[str]]:
+    """Return the start time [s], and what is to be said of it."""
+    begin = experiment.start_time or 0.0
+    if asked is None and golden is not None:
+        first = float(golden.time[0])
+        return first, [] if first == begin else [f"start = {first:g} s, as in {golden.path.name}"]
+    if asked is None or not asked < begin:
+        return begin if asked is None else asked, []
+    early = f"start = {asked:g} s is before the plant's default experiment, which begins at {begin:g} s"
+    return asked, [f"{early}: what it reads over time, such as weather, may not reach back so far"]
+
+
+def _default_stop(start: float, begin: float, end: float) -> tuple[float | None, list[str]]:
+    """Return the stop time of a run from its start on, by a default experiment [s]; None: it has none."""
+    if end > start:
+        return end, []
+    if not end > begin:
+        return None, []
+    stop = start + (end - begin)
+    return stop, [f"stop = {stop:g} s: as long as the default experiment, which ends at {end:g} s"]
+
+
 def _default_step(subject: _Subject, preferred: float | None, duration: float) -> tuple[float, list[str]]:
     if preferred and 0 < preferred <= duration and duration / preferred <= _MOST_SAMPLES:
         return preferred, []
@@ -400,7 +428,7 @@ def _check_covered(file: CSVFile, driven: Mapping[str, Steps], start: float, end
         if first > start + slack or last < end - slack:
             raise ConfigError(
                 f"{file.path}: its times, {first:g} s to {last:g} s, do not cover the run, {start:g} s to "
-                f"{end:g} s; choose another stop, or add rows"
+                f"{end:g} s; choose another start or stop, or add rows"
             )
         return
 

@@ -38,8 +38,21 @@ def simulate(
         name="--set",
         metavar="NAME=VALUE",
     ),
-    stop: float | None = option(None, "End of the run in s [the FMU's default experiment].", metavar="T"),
-    step: float | None = option(None, "Time between samples in s [the FMU's, or 500 steps].", metavar="H"),
+    start: float | None = option(
+        None,
+        "Start of the run in s, or a moment such as `day 23` [the FMU's default experiment].",
+        type=options.MOMENT,
+        metavar="T",
+    ),
+    stop: float | None = option(
+        None, "End of the run, likewise [the FMU's default experiment].", type=options.MOMENT, metavar="T"
+    ),
+    step: float | None = option(
+        None,
+        "Time between samples in s, or such as `15 min` [the FMU's, or 500 steps].",
+        type=options.DURATION,
+        metavar="H",
+    ),
     outputs: tuple[str, ...] = option(
         (), "Record these; may be repeated [the outputs, else states].", metavar="NAME,..."
     ),
@@ -88,6 +101,7 @@ def simulate(
             plant=plant,
             inputs=files["inputs"],
             values=given,
+            start=start,
             stop=stop,
             step=step,
             outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,

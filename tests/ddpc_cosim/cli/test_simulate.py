@@ -131,3 +131,24 @@ def test_a_run_without_samples_is_told_everywhere(folder: Path) -> None:
     assert (folder / "none.csv").read_text(encoding="utf-8") == "time [s],x [1],outcome\n"
     assert "fmu-error: before the first sample: " in (folder / "none.html").read_text(encoding="utf-8")
     assert "lag2.fmu (fmu-error)" in (folder / "none.svg").read_text(encoding="utf-8")
+
+
+def test_a_winter_day_is_run_and_compared(folder: Path) -> None:
+    """Moments and durations in words; the golden file says where a run begins that is compared with it."""
+    model_fmu(folder, "2.0", "lag", head='<DefaultExperiment startTime="0" stopTime="31536000"/>')
+    moments = ("--start", "day 23", "--stop", "day 23", "--step", "15 min")
+    refused = simulate("lag2.fmu", *moments)
+    assert refused.exit_code == 2
+    assert "stop = 1.9008e+06 s is not possible; allowed: a number > 1.9008e+06" in refused.stderr
+    given = ("--start", "2026-01-23", "--stop", "2026-01-23T06:00", "--step", "15 min", "--out", "day.csv")
+    first = simulate("lag2.fmu", "--set", "x=1", *given)
+    assert first.exit_code == 0, first.stderr
+    rows = (folder / "day.csv").read_text(encoding="utf-8").splitlines()
+    assert (len(rows), rows[1], rows[-1].partition(",")[0]) == (26, "1900800.0,1.0", "1922400.0")
+    again = simulate("lag2.fmu", "--set", "x=1", "--compare", "day.csv")
+    assert again.exit_code == 0, again.output
+    assert "note: start = 1.9008e+06 s, as in day.csv" in again.stderr
+    for option in (("--start", "yesterday"), ("--step", "day 3")):
+        wrong = simulate("lag2.fmu", *option)
+        assert wrong.exit_code == 2
+        assert "must be a number of seconds, or a duration such as" in " ".join(wrong.stderr.split())
