@@ -279,7 +279,7 @@ def prepare(request: SimulationRequest) -> Prepared:
         notes += chosen
         end = start + count * step
         if resumed is not None:
-            notes += _inputs_at_rest(resumed, subject, [*driven, *values])
+            notes = [*_said_of_state(resumed, subject, [*driven, *values]), *notes]
         if request.inputs is not None:
             faults.collect(_check_covered, request.inputs, driven, start, end)
         if golden is not None:
@@ -344,8 +344,8 @@ def _check_can_serialise(subject: _Subject) -> None:
         plant.close()
 
 
-def _inputs_at_rest(resumed: PlantState, subject: _Subject, given: Sequence[str]) -> list[str]:
-    """Return what is to be said of inputs that were driven and are not now."""
+def _said_of_state(resumed: PlantState, subject: _Subject, given: Sequence[str]) -> list[str]:
+    """Return what is to be said of a state, and of inputs that were driven and are not now."""
     known = subject.description.inputs
     held = [name for name in resumed.inputs if name in known and name not in given]
     values = [f"{name} = {resumed.inputs[name]:g} {known[name].unit}".strip() for name in held]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from fmus.builder import Fault, model_fmu
+from fmus.builder import Fault, keeping_fmu, model_fmu
 
 from ddpc_cosim.cli.main import main
 
@@ -152,3 +152,44 @@ def test_a_winter_day_is_run_and_compared(folder: Path) -> None:
         wrong = simulate("lag2.fmu", *option)
         assert wrong.exit_code == 2
         assert "must be a number of seconds, or a duration such as" in " ".join(wrong.stderr.split())
+
+
+def test_a_state_is_saved_and_gone_on_from(folder: Path) -> None:
+    """The rest of a divided run is, to the last digit, that of the whole one; the first half in a sandbox."""
+    keeping_fmu(folder, "2.0", "lag")
+    (folder / "u.csv").write_text("time,u\n0,0\n3,3\n", encoding="utf-8")
+    given = ("lag2.fmu", "--inputs", "u.csv", "--step", "0.1")
+    whole = simulate(*given, "--stop", "3", "--out", "whole.csv")
+    first = simulate(*given, "--stop", "1.7", "--save-state", "mid.state", "--sandbox")
+    assert (whole.exit_code, first.exit_code) == (0, 0), first.stderr
+    assert first.stdout.splitlines()[-1] == "mid.state"
+    rows = (folder / "whole.csv").read_text(encoding="utf-8").splitlines()
+    given = ("--inputs", "u.csv", "--load-state", "mid.state", "--stop", "3", "--out", "rest.csv")
+    second = simulate("lag2.fmu", *given)
+    assert second.exit_code == 0, second.output
+    assert "note: goes on at t = 1.7 s from a state" in second.stderr
+    rest = (folder / "rest.csv").read_text(encoding="utf-8").splitlines()
+    assert rest == [rows[0], *rows[18:]]
+
+
+def test_states_that_cannot_be_are_told_at_once(folder: Path) -> None:
+    keeping_fmu(folder, "2.0", "lag", ["GetAndSet"])
+    model_fmu(folder, "3.0", "lag")
+    (folder / "torn.state").write_bytes(b"{")
+    places = simulate("lag2.fmu", "--save-state", "lag2.fmu", "--load-state", "torn.state")
+    assert places.exit_code == 2
+    assert "--save-state lag2.fmu: this file is read; choose another one" in places.stderr
+    assert "torn.state: is not a state, or is damaged" in places.stderr
+    for fmu, lacking in (("lag2.fmu", "canSerializeFMUstate"), ("lag3.fmu", "canGetAndSetFMUstate")):
+        unable = simulate(fmu, "--save-state", "mid.state")
+        assert unable.exit_code == 2
+        assert f"the FMU cannot save its state as bytes ({lacking} is false)" in unable.stderr
+    assert not (folder / "mid.state").exists()
+
+
+def test_a_run_that_ends_early_leaves_no_state(folder: Path) -> None:
+    keeping_fmu(folder, "2.0", "lag", fault=Fault.SEGMENTATION_FAULT)
+    result = simulate("lag2.fmu", "--stop", "1", "--step", "0.1", "--save-state", "mid.state")
+    assert result.exit_code == 1
+    assert "--save-state mid.state: not written: the run has not reached its last sample" in result.stderr
+    assert not (folder / "mid.state").exists()
