@@ -340,7 +340,8 @@ def cosimulate(
         try:
             state = serialise_plant(plant, end)
         except (ConfigError, FMUStepError) as error:
-            outcome, reason = Outcome.FMU_ERROR, f"after the last sample: {error}"
+            outcome = OUTCOME_OF[error.status] if isinstance(error, FMUStepError) else Outcome.FMU_ERROR
+            reason = f"after the last sample: {error}"
     return Trace(
         **rows.written(),
         state=state,

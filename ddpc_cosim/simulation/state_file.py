@@ -70,7 +70,9 @@ class PlantState:
         """Return why it is not a state of a plant; empty if it is."""
         if self.content != content:
             whose = f"it is of {self.plant} ({self.content}), and this is {plant} ({content})"
-            remedy = "give the plant that it was saved of, unchanged, or save a state of this one"
+            remedy = (
+                "give the plant that it was saved of, unchanged and run as then, or save a state of this one"
+            )
             return [f"the state is not one of this plant: {whose}; {remedy}"]
         if self.platform != platform:
             where = f"it was saved on {self.platform or 'any'}, and this is {platform or 'any'}"

@@ -165,7 +165,7 @@ def _simulate(
     for path in out:
         print(printable(str(path)))
     if save_state is not None and simulation.state is None:
-        say(f"--save-state {save_state}: not written: the run has not reached its last sample", err=True)
+        say(f"--save-state {save_state}: not written: there is nothing to go on from", err=True)
     if difference is not None:
         say(difference.words)
     if not simulation.completed:

@@ -191,5 +191,5 @@ def test_a_run_that_ends_early_leaves_no_state(folder: Path) -> None:
     keeping_fmu(folder, "2.0", "lag", fault=Fault.SEGMENTATION_FAULT)
     result = simulate("lag2.fmu", "--stop", "1", "--step", "0.1", "--save-state", "mid.state")
     assert result.exit_code == 1
-    assert "--save-state mid.state: not written: the run has not reached its last sample" in result.stderr
+    assert "--save-state mid.state: not written: there is nothing to go on from" in result.stderr
     assert not (folder / "mid.state").exists()

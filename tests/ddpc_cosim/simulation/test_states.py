@@ -53,6 +53,15 @@ def test_an_fmu_with_time_events_goes_on_at_another_season(tmp_path: Path, versi
     assert not (tmp_path / "never.state").exists()
 
 
+def test_an_fmu_that_ends_at_the_last_sample_leaves_no_state(tmp_path: Path) -> None:
+    """It has reached the end and counts to ten; there is no step from there."""
+    fmu = keeping_fmu(tmp_path, "2.0", "stair")
+    with pytest.warns(CosimWarning, match=r"terminated: 11 of 11 samples.*after the last sample"):
+        frame = simulate(fmu, stop=10, step=1, save_state=tmp_path / "end.state")
+    assert frame["count [1]"].iloc[-1] == 10.0
+    assert not (tmp_path / "end.state").exists()
+
+
 def test_other_steps_inputs_and_tunable_parameters_from_a_state_on(tmp_path: Path) -> None:
     """x' = rate (u - x): held at u = 2, then let go, then with another rate and other steps."""
     fmu, state = keeping_fmu(tmp_path, "2.0", "lag"), tmp_path / "mid.state"
