@@ -294,14 +294,13 @@ def prepare(request: SimulationRequest) -> Prepared:
     if traced is not None:
         traced.write_bytes(b"")
     at_start = {name: float(values_at(s, name, np.array([start]))[0]) for name, s in driven.items()}
-    resumption, first = None, start
+    resumption = None
     if resumed is not None:
-        goes_on = step == resumed.sampling_time  # on the same samples, to the last bit of their times
-        first = resumed.start_time if goes_on else start
-        samples = resumed.samples if goes_on else 0
         changed = {name: value for name, value in values.items() if resumed.values.get(name) != value}
         values = {name: value for name, value in resumed.parameters.items() if name not in driven}
-        resumption = Resumption(resumed.state, resumed.reset_time, samples, changed)
+        resumption = Resumption(resumed.state, resumed.reset_time, changed=changed)
+        if step == resumed.sampling_time:  # on the samples of that run, to the last bit of their times
+            start, resumption = resumed.start_time, resumption._replace(samples=resumed.samples)
     case = Case(
         controller=subject.label,
         scenario="nominal",
@@ -314,7 +313,7 @@ def prepare(request: SimulationRequest) -> Prepared:
         measurements=tuple(outputs),
         sampling_time=step,
         duration=count * step,
-        start_time=first,
+        start_time=start,
         continue_recording=False,
         reference={},
         bounds={},

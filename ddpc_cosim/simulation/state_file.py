@@ -117,7 +117,7 @@ class PlantState:
             return cls._of(content)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except DAMAGED as error:
+        except (*DAMAGED, ArithmeticError) as error:
             raise ConfigError(f"{path}: is not a state, or is damaged: {error}; {remedy}") from error
 
     @classmethod

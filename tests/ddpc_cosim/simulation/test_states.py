@@ -221,6 +221,7 @@ def test_one_changed_byte_or_one_less_is_seen(data: st.DataObject, saved: tuple[
         ({"format": "ddpc-cosim plant state 7"}, 'it is "ddpc-cosim plant state 7", and this version reads'),
         ({"format": None}, "and this version reads"),
         ({"samples": -1}, "is damaged: a state at"),
+        ({"samples": 10**400}, "is damaged"),
         ({"sampling_time": "nan"}, "is damaged: a state at nan s"),
         ({"start_time": "inf"}, "is damaged: a state at inf s"),
         ({"samples": "many"}, "is damaged"),
