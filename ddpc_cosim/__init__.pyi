@@ -36,6 +36,7 @@ from .loop.data_quality import judge_prediction as judge_prediction
 from .loop.master import cosimulate as cosimulate, record as record
 from .loop.plant_control import PlantControl as PlantControl
 from .loop.plotting import Picture as Picture
+from .loop.rollouts import rollout as rollout
 from .loop.trace import Outcome as Outcome, Trace as Trace
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant

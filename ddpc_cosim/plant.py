@@ -46,6 +46,13 @@ class Plant(ABC):
     Such a switch is not among ``inputs``. Where something drives the input it is 1, else 0: the master gives
     it among the parameters of ``reset``, and of ``set_parameters`` where that changes during a run.
     """
+    state_is_data: bool = False
+    """Whether what ``save_state`` returns is the whole state, in numbers, texts, bytes, arrays of numbers,
+    and tuples, lists and dicts of these.
+
+    Then another run of the same plant, reset with the same parameters, can go on from it, also one in another
+    process: ``ddpc-cosim simulate`` can save it to a file.
+    """
     is_sampled: bool = False
     """Whether it answers to its inputs as they are when a step begins, and holds its outputs over it."""
 
@@ -57,7 +64,7 @@ class Plant(ABC):
         sampling_time : float
             Communication step size [s].
         stop_time : float
-            Time of the last sample [s].
+            Time of the last sample [s]; infinite for a run that another one may go on from.
 
         Raises
         ------
@@ -188,6 +195,51 @@ class Plant(ABC):
             The state is not one of this run, or the plant cannot.
         """
         raise ConfigError(f"{type(self).__name__}: the state cannot be restored")
+
+    @property
+    def can_serialise_state(self) -> bool:
+        """Whether ``serialise_state`` and ``deserialise_state`` work.
+
+        A plant that is written in Python need not have them: for one whose ``state_is_data`` it is done.
+        """
+        return False
+
+    def serialise_state(self) -> bytes:
+        """Return the state as bytes, for ``deserialise_state`` in another run of the same plant.
+
+        Raises
+        ------
+        ConfigError
+            The plant cannot, and why: before ``reset`` too.
+        FMUStepError
+            The plant failed.
+        """
+        raise ConfigError(f"{type(self).__name__}: the state cannot be saved as bytes")
+
+    def deserialise_state(self, content: bytes) -> FloatArray:
+        """Go on from the state of another run, after a reset with the same parameters.
+
+        The inputs that are driven may be others than in that run. A state that comes from others can make an
+        FMU do what its library can be made to do by it.
+
+        Parameters
+        ----------
+        content : bytes
+            What ``serialise_state`` of the same plant returned.
+
+        Returns
+        -------
+        y : array, shape (p,)
+            Outputs there, in their units.
+
+        Raises
+        ------
+        ConfigError
+            It is not a state of this plant.
+        FMUStepError
+            The plant failed.
+        """
+        raise ConfigError(f"{type(self).__name__}: the state cannot be restored from bytes")
 
     def close(self) -> None:  # noqa: B027 - most plants hold nothing
         """Release everything; the plant is not used afterwards. The end of a ``with`` block does it."""

@@ -12,6 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.durations import EXPECTED, moment_of, seconds_of
 
 T = TypeVar("T")
 
@@ -127,6 +128,40 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class Time(click.ParamType[float]):
+    """Seconds: a number, or what a reader of texts makes of a text.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the seconds that a text says; ValueError: it says none, and why.
+    """
+
+    name = "time"
+
+    def __init__(self, read: Callable[[str], float]) -> None:
+        self._read = read
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the seconds, or say what is wrong."""
+        try:
+            return float(value)
+        except ValueError:
+            pass
+        try:
+            return float(self._read(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def _duration(text: str) -> float:
+    try:
+        return seconds_of(text)
+    except ValueError as error:
+        raise ValueError(f"must be {EXPECTED}, got {text[:100]!r}: {error}") from error
+
+
+MOMENT, DURATION = Time(moment_of), Time(_duration)
 FILE, FOLDER = PathType(dir_okay=False), PathType(file_okay=False)
 POSITIVE, AT_LEAST_1 = FiniteRange(min=0, min_open=True), click.IntRange(min=1)
 

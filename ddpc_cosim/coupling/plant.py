@@ -15,6 +15,7 @@ from ddpc_cosim.coupling.parts import Part
 from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.coupling.wiring import Connection, Wiring
 from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.loop.safe_calls import plant_provenance
 from ddpc_cosim.plant import ParameterValue, Plant
@@ -323,6 +324,55 @@ class CoupledPlant(Plant):
         if self._control is not None:
             self._control.halvings = state.halvings
         self._end_error = state.end_error
+
+    @property
+    def can_serialise_state(self) -> bool:
+        """Whether the states of all parts can be saved as bytes."""
+        return all(part.plant.can_serialise_state for part in self._parts.values())
+
+    def serialise_state(self) -> bytes:
+        """Return the states of all parts and what they exchange as bytes."""
+        states, faults = dict[str, bytes](), list[str]()
+        for name, part in self._parts.items():
+            try:
+                states[name] = part.call("serialise_state", self.time)
+            except ConfigError as error:
+                faults += error.faults
+        if faults:
+            raise ConfigError(faults)
+        if self._end_error is not None:
+            raise self._end_error
+        return to_bytes(
+            {
+                "parts": states,
+                "values": list(self._wiring.values),
+                "memory": self._exchange.memory,
+                "clock": (self._base_time, self._samples, self._h),
+                "halvings": 0 if self._control is None else self._control.halvings,
+            }
+        )
+
+    def deserialise_state(self, content: bytes) -> FloatArray:
+        """Go on from the state of another run of the same parts; return the outputs there, shape (p,)."""
+        exchange = self._exchange
+        with understood("the state of the coupled plant"):
+            saved = from_bytes(content)
+            base_time, samples, h = map(float, saved["clock"])
+            time = base_time + samples * h
+            exchange.reset(time)
+            for name, part in self._parts.items():
+                y = part.call("deserialise_state", time, saved["parts"][name])
+                exchange.values[part.output_slice] = y
+            place = {name: i for i, name in enumerate(saved["values"])}
+            for i, name in enumerate(self._wiring.values):
+                if name in place:  # the whole may have other inputs and outputs by now
+                    exchange.memory[:, i] = saved["memory"][:, place[name]]
+            if self._control is not None:
+                self._control.halvings = int(saved["halvings"])
+        self._base_time, self._samples = base_time, int(samples)
+        if h and h != self._h:
+            self._schedule_steps(h)
+        return self._current_outputs()
 
     def close(self) -> None:
         """Close all parts, also if some cannot."""

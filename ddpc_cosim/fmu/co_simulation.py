@@ -1,6 +1,6 @@
 """One run of an FMU for Co-Simulation: hold the inputs, do the step, read the outputs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError
@@ -106,6 +106,12 @@ class CoSimulationRun(FMURun):
     def _go_back(self, *bookkeeping: Any) -> None:
         *clock, self._sample, self._substeps = bookkeeping
         super()._go_back(*clock)
+
+    def deserialise_state(self, content: Mapping[str, Any], *, same_inputs: bool) -> None:
+        """Go on from the state of another run, in steps of the same size where that is fixed."""
+        super().deserialise_state(content, same_inputs=same_inputs)
+        if self._sample:
+            self._substeps_of(self._sample)
 
     def _do_other_substeps(self) -> None:
         for _ in range(self._substeps - 1):

@@ -14,6 +14,7 @@ from ddpc_cosim.fmu.instance import (
     Model,
     ModelFunctions,
     Slave,
+    serialised,
     value_types,
 )
 from ddpc_cosim.fmu.status import DISCARD, SUCCESS, CallError, failed_call, fmi2_callbacks, termination
@@ -69,9 +70,27 @@ class _Fmi2(Instance):
     def free_state(self, state: Any) -> None:
         self.call("fmi2FreeFMUstate", ctypes.byref(state))
 
+    def serialise(self, state: Any) -> bytes:
+        return serialised(
+            partial(self.call, "fmi2SerializedFMUstateSize", state),
+            lambda memory, size: self.call("fmi2SerializeFMUstate", state, _characters(memory), size),
+        )
+
+    def deserialise(self, content: bytes) -> Any:
+        state = ctypes.c_void_p()
+        memory = (ctypes.c_ubyte * len(content)).from_buffer_copy(content)
+        arguments = _characters(memory), len(content), ctypes.byref(state)
+        self.call("fmi2DeSerializeFMUstate", *arguments)
+        return state
+
     def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
         references = (unknowns, len(unknowns), known, len(known))
         self.call(self.directional_derivative, *references, seed, sensitivity)
+
+
+def _characters(memory: Any) -> Any:
+    """Return bytes as FMI 2.0 calls them."""
+    return ctypes.cast(memory, ctypes.POINTER(ctypes.c_char))
 
 
 class Fmi2Slave(_Fmi2, Slave):

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from ddpc_cosim.fmu.instance import (
@@ -12,6 +13,7 @@ from ddpc_cosim.fmu.instance import (
     ModelFunctions,
     Slave,
     reference_array,
+    serialised,
     value_types,
 )
 from ddpc_cosim.fmu.status import DISCARD, SUCCESS, CallError, failed_call, fmi3_logger, termination
@@ -95,6 +97,18 @@ class _Fmi3(Instance):
 
     def free_state(self, state: Any) -> None:
         self.call("fmi3FreeFMUState", ctypes.byref(state))
+
+    def serialise(self, state: Any) -> bytes:
+        return serialised(
+            partial(self.call, "fmi3SerializedFMUStateSize", state),
+            partial(self.call, "fmi3SerializeFMUState", state),
+        )
+
+    def deserialise(self, content: bytes) -> Any:
+        state = ctypes.c_void_p()
+        memory = (ctypes.c_ubyte * len(content)).from_buffer_copy(content)
+        self.call("fmi3DeserializeFMUState", memory, len(content), ctypes.byref(state))
+        return state
 
     def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
         references = (unknowns, len(unknowns), known, len(known))

@@ -226,6 +226,14 @@ class Instance(ABC):
         """Free a state."""
         raise CallError("FMI 1.0 knows no states of FMUs")
 
+    def serialise(self, state: Any) -> bytes:
+        """Return a state as bytes."""
+        raise CallError("FMI 1.0 cannot serialise the state of an FMU")
+
+    def deserialise(self, content: bytes) -> Any:
+        """Return the state that bytes stand for."""
+        raise CallError("FMI 1.0 cannot deserialise the state of an FMU")
+
     @property
     def has_directional_derivatives(self) -> bool:
         """Whether the library has the function for them; whether it works, the model description says."""
@@ -332,6 +340,20 @@ class Model(Instance):
     def get_event_indicators(self, z: DoubleArray, n: int) -> None:
         """Read the event indicators."""
         self.call(self.functions.get_event_indicators, z, n)
+
+
+_LARGEST_STATE = 1 << 28
+
+
+def serialised(size_of: Callable[[Any], None], write: Callable[[Any, int], None]) -> bytes:
+    """Return a state as bytes, by the functions that tell its size and that write it."""
+    size = ctypes.c_size_t()
+    size_of(ctypes.byref(size))
+    if size.value > _LARGEST_STATE:
+        raise CallError(f"the FMU's state has {size.value} bytes; allowed: {_LARGEST_STATE}")
+    memory = (ctypes.c_ubyte * size.value)()
+    write(memory, size.value)
+    return bytes(memory)
 
 
 def reference_array(references: Sequence[int]) -> Any:

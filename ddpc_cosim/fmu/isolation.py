@@ -196,7 +196,9 @@ class IsolatedSession:
         if method == "save_state":
             return _SavedState(int(answer), self._worker, self._freed_states)
         outputs = (len(self.fmu.outputs),)
-        shapes = dict.fromkeys(("reset", "step", "outputs_at"), outputs)
+        if method == "serialise_state":
+            return _unpacked(answer)
+        shapes = dict.fromkeys(("reset", "step", "outputs_at", "deserialise_state"), outputs)
         shape = (shapes | {"feedthrough": (*outputs, len(self.fmu.inputs))}).get(method)
         if shape is None or (answer is None and method == "feedthrough"):
             return None
@@ -230,6 +232,26 @@ class _SavedState:
     def __init__(self, number: int, worker: Worker | None, freed: list[int]) -> None:
         self.number, self.worker = number, worker
         weakref.finalize(self, freed.append, number)
+
+
+_WORD = 8
+
+
+def _packed(content: bytes) -> FloatArray:
+    """Return bytes, and how many they are, as the numbers that a reply can have."""
+    padded = len(content).to_bytes(_WORD, "little") + content + bytes(-len(content) % _WORD)
+    return np.frombuffer(padded, dtype=np.float64)
+
+
+def _unpacked(numbers: Any) -> bytes:
+    """Return the bytes that :func:`_packed` was given; ValueError: these are not such numbers."""
+    if not isinstance(numbers, np.ndarray):
+        raise ValueError("it is not a state")
+    raw = numbers.tobytes()
+    end = _WORD + int.from_bytes(raw[:_WORD], "little")
+    if not len(raw) - _WORD < end <= len(raw):
+        raise ValueError("it is not a state")
+    return raw[_WORD:end]
 
 
 def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
@@ -280,6 +302,10 @@ class _Service(FMUSession):
         number = next(self._numbers)
         self._states[number] = super().save_state()
         return number
+
+    def serialise_state(self) -> Any:
+        """Return the state as numbers."""
+        return _packed(super().serialise_state())
 
     def restore_state(self, state: object) -> None:
         """Go back to the state of a number."""

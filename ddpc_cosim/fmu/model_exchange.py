@@ -112,6 +112,9 @@ class ModelExchangeRun(FMURun):
         super()._go_back(*clock)
         self._integrator.restart(self.time, nominals_changed=True)
 
+    def _forget_inputs(self) -> None:
+        self._held = None
+
     def _integrate(self, t: float, t_end: float) -> None:
         at_once = 0
         while t < t_end or self._next_event <= t:

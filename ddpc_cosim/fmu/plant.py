@@ -204,7 +204,8 @@ class FMUPlant(Plant):
         if remark and remark not in self.warnings:
             self._warnings += (remark,)
         # A little later than the last sample: rounding must not make the last step an illegal one.
-        self._stop_time = stop_time + _STOP_MARGIN * sampling_time
+        stop = stop_time + _STOP_MARGIN * sampling_time
+        self._stop_time = stop if math.isfinite(stop) else None
 
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,).
@@ -306,6 +307,23 @@ class FMUPlant(Plant):
     def restore_state(self, state: object) -> None:
         """Go back to a saved state."""
         self._session.call(FMUSession.restore_state, state)
+
+    @property
+    def can_serialise_state(self) -> bool:
+        """Whether the FMU says that its state can be saved, and serialised."""
+        return self.can_save_state and self._fmu.interface.can_serialize_state
+
+    def serialise_state(self) -> bytes:
+        """Return the FMU's state as bytes, from which another run of the same FMU can go on."""
+        if not self.can_serialise_state:
+            lacking = "canSerializeFMUstate" if self.can_save_state else "canGetAndSetFMUstate"
+            reason = f"the FMU cannot save its state as bytes ({lacking} is false)"
+            raise ConfigError(f"{self.path.name}: {reason}")
+        return self._session.call(FMUSession.serialise_state)
+
+    def deserialise_state(self, content: bytes) -> FloatArray:
+        """Go on from the state of another run of the same FMU; return the outputs there, shape (p,)."""
+        return self._session.call(FMUSession.deserialise_state, content)
 
     def close(self) -> None:
         """Terminate and free the FMU and remove its temporary folder."""

@@ -1,10 +1,13 @@
 """One run of an initialised FMU, sample by sample: what Co-Simulation and Model Exchange have in common."""
 
+import math
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from typing import Any, TypeVar
+
+import numpy as np
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
@@ -72,6 +75,16 @@ class Ticks:
 
     def _time(self, i: int) -> float:
         return self._start + self._clocks[i].shift + self.counts[i] * self._clocks[i].interval
+
+
+def _is_alike(given: Any, present: Any) -> bool:
+    """Whether something is of the kind of what is there: a number, inputs or none, a tuple of these."""
+    if isinstance(present, tuple):
+        is_tuple = isinstance(given, tuple) and len(given) == len(present)
+        return is_tuple and all(map(_is_alike, given, present))
+    if isinstance(present, int | float):
+        return isinstance(given, int | float) and not math.isnan(given)
+    return given is None or (isinstance(given, np.ndarray) and given.ndim == 1)
 
 
 class FMURun(ABC):
@@ -162,6 +175,37 @@ class FMURun(ABC):
             raise ConfigError("the state is not one of this run: states do not outlive a reset")
         self.instance.restore_state(state.handle)
         self._go_back(*state.bookkeeping)
+
+    def serialise_state(self) -> dict[str, Any]:
+        """Return the state as plain data."""
+        state = self.save_state()
+        try:
+            return {"run": self._bookkeeping(), "fmu": self.instance.serialise(state.handle)}
+        finally:
+            state.free()
+
+    def deserialise_state(self, content: Mapping[str, Any], *, same_inputs: bool) -> None:
+        """Go on from the state of another run, which may have driven other inputs.
+
+        Raises
+        ------
+        ConfigError
+            It is not one of this FMU.
+        """
+        bookkeeping, handle = content["run"], content["fmu"]
+        if not (_is_alike(bookkeeping, self._bookkeeping()) and isinstance(handle, bytes)):
+            raise ConfigError("the state is not one of this FMU")
+        state = self.instance.deserialise(handle)
+        try:
+            self.instance.restore_state(state)
+        finally:
+            self.instance.free_state(state)
+        self._go_back(*bookkeeping)
+        if not same_inputs:
+            self._forget_inputs()
+
+    def _forget_inputs(self) -> None:  # noqa: B027 - few runs remember them
+        """Write the inputs of the next step, whatever they were."""
 
     def _bookkeeping(self) -> tuple[Any, ...]:
         """Return what the run must remember besides the FMU's state."""

@@ -18,6 +18,7 @@ import numpy as np
 from ddpc_cosim.description import PlantSignal, choose_signals
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
@@ -349,6 +350,26 @@ class FMUSession:
         """Go back to a saved state of this run."""
         self._end_error = None  # back to before it
         self._started("restore_state").restore_state(state)
+
+    def serialise_state(self) -> bytes:
+        """Return the state as bytes, from which another run of the FMU can go on."""
+        run, fmu = self._started("serialise_state"), self.fmu
+        driven = [signal.variable.name for signal in fmu.inputs]
+        return to_bytes({"type": fmu.interface.kind, "inputs": driven, **run.serialise_state()})
+
+    def deserialise_state(self, content: bytes) -> FloatArray:
+        """Go on from the state of another run of the FMU; return the outputs there, shape (p,)."""
+        run, fmu = self._started("deserialise_state"), self.fmu
+        driven = [signal.variable.name for signal in fmu.inputs]
+        with understood(f"{fmu.label}: the state"):
+            state = from_bytes(content)
+            if state["type"] != fmu.interface.kind:
+                raise ConfigError(
+                    f"{fmu.label}: the state was saved of the FMU run for {state['type']}, and this runs for "
+                    f"{fmu.interface.kind}; choose that by fmi_type"
+                )
+            run.deserialise_state(state, same_inputs=state["inputs"] == driven)
+        return run.outputs()
 
     @property
     def time(self) -> float:

@@ -9,6 +9,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from math import inf
+from types import MappingProxyType
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
@@ -42,6 +44,8 @@ from ddpc_cosim.loop.safe_calls import (
     plant_provenance,
     require_finite,
     reset_plant,
+    resume_plant,
+    serialise_plant,
     set_plant_parameters,
     start_controller,
     step_plant,
@@ -75,6 +79,28 @@ OUTCOME_OF = {
     StepStatus.TIMED_OUT: Outcome.TIMED_OUT,
     StepStatus.TERMINATED: Outcome.TERMINATED,
 }
+
+
+class Resumption(NamedTuple):
+    """The state of another run of a plant, which a run goes on from.
+
+    Parameters
+    ----------
+    state : bytes
+        What ``serialise_state`` of the plant returned.
+    reset_time : float
+        When the plant was reset in the run that it was saved in [s]; it is reset so before it goes on.
+    samples : int
+        The number of the first sample, counted from the start time of the run that goes on.
+    changed : mapping of str to float, int, bool or str
+        Tunable parameters that differ from there on.
+    """
+
+    state: bytes
+    reset_time: float
+    samples: int = 0
+    changed: Mapping[str, ParameterValue] = MappingProxyType({})
+
 
 _NOTHING: FloatArray = np.empty(0)
 EARLY = 1e-6
@@ -129,6 +155,8 @@ def cosimulate(
     prices: Mapping[str, Price] | None = None,
     warm_up: float = 0.0,
     warm_up_controller: Controller | None = None,
+    resumed: Resumption | None = None,
+    keeps_state: bool = False,
     store: RowStore | None = None,
 ) -> Trace:
     """Run one closed loop of a plant and a controller.
@@ -190,6 +218,12 @@ def cosimulate(
         How long the plant runs before the first sample [s], which is not part of the trace.
     warm_up_controller : Controller, optional
         Controls it meanwhile; default: inputs rest, and the plant's own control acts where it has one.
+    resumed : Resumption, optional
+        The state of another run that the plant goes on from, on the samples of that run if ``start_time`` is
+        that run's; default: the plant starts anew.
+    keeps_state : bool
+        Whether another run may go on from this one: its trace has the plant's state at the last sample, and
+        the plant is told no stop time.
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
 
@@ -240,9 +274,10 @@ def cosimulate(
     is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
     wanted = {} if is_open_loop else setup.wanted({} if reference is None else reference)
     steps = whole_steps(duration, sampling_time)
-    end = end_time(start_time, steps, sampling_time)
+    begun = 0 if resumed is None else resumed.samples
+    end = end_time(start_time, begun + steps, sampling_time)
     check_events(events, end)
-    _check_choices(excitation, recording, stabiliser, continue_recording, warm_up)
+    _check_choices(excitation, recording, stabiliser, continue_recording, warm_up, resumed)
     warm_up_steps = whole_steps(warm_up, sampling_time) if warm_up else 0
     if warm_up_steps > steps:
         raise ConfigError(
@@ -268,14 +303,19 @@ def cosimulate(
     switched = setup.switched(controller)
     before = setup.switched(warmer) if warm_up_steps else switched
     if not continue_recording:
-        plant.plan(sampling_time, end)
-        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, begin)
+        plant.plan(sampling_time, inf if keeps_state else end)
+        reset_at = begin if resumed is None else resumed.reset_time
+        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, reset_at)
+        if resumed is not None:
+            y_plant = _resume(plant, resumed, begin + begun * sampling_time)
+        if keeps_state:  # a plant that cannot is not to tell so after the run
+            serialise_plant(plant, begin)
     elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
         set_plant_parameters(plant, switched, start_time)
     horizon = horizon_of(controller)
     later = max(horizon, horizon_of(warmer)) if setup.disturbances.looks_ahead else 0
     first, samples = warm_up_steps, steps + 1
-    whole = begin + np.arange(first + samples + later, dtype=np.float64) * sampling_time
+    whole = begin + (begun + np.arange(first + samples + later, dtype=np.float64)) * sampling_time
     past, unknown = recording if continue_recording else None, tuple[str, ...]()
     if first:
         setup.start(whole, ahead=later)
@@ -283,7 +323,7 @@ def cosimulate(
         (past, unknown), y_plant = setup.taken_over(warmer, warm.recording), warm.y_plant
         if switched != before:
             set_plant_parameters(plant, switched, start_time)
-    time = start_time + np.arange(samples + horizon, dtype=np.float64) * sampling_time
+    time = start_time + (begun + np.arange(samples + horizon, dtype=np.float64)) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
     wish, limits = setup.wish(wanted, visible), setup.limits(visible)
     loop = setup.loop(
@@ -313,8 +353,16 @@ def cosimulate(
     except ControllerError as error:
         if outcome is Outcome.COMPLETED:
             outcome, reason = Outcome.CONTROLLER_ERROR, f"after the last sample: {error}"
+    state = b""
+    if keeps_state and outcome is Outcome.COMPLETED:
+        try:
+            state = serialise_plant(plant, end)
+        except (ConfigError, FMUStepError) as error:
+            outcome = OUTCOME_OF[error.status] if isinstance(error, FMUStepError) else Outcome.FMU_ERROR
+            reason = f"after the last sample: {error}"
     return Trace(
         **rows.written(),
+        state=state,
         inputs=setup.inputs,
         changed_inputs=setup.changed_inputs,
         outputs=setup.outputs,
@@ -340,15 +388,26 @@ def cosimulate(
     )
 
 
+def _resume(plant: Plant, resumed: Resumption, time: float) -> FloatArray:
+    """Have a plant that has been reset go on from a state; return its outputs there, shape (p,)."""
+    y_plant = resume_plant(plant, resumed.state, time)
+    if resumed.changed:
+        set_plant_parameters(plant, resumed.changed, time)
+    return y_plant
+
+
 def _check_choices(
     excitation: Excitation | None,
     recording: Recording | None,
     stabiliser: Controller | None,
     continue_recording: bool,
     warm_up: float,
+    resumed: Resumption | None,
 ) -> None:
     """Raise ConfigError for keywords that contradict each other."""
     faults = []
+    if resumed is not None and (continue_recording or warm_up):
+        faults.append("resumed goes with neither continue_recording nor warm_up: the plant has one start")
     if excitation is not None and recording is not None:
         faults.append("give an excitation or a recording, not both")
     if excitation is None and stabiliser is not None:

@@ -142,6 +142,19 @@ def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue],
         plant.set_parameters(parameters)
 
 
+def serialise_plant(plant: Plant, time: float) -> bytes:
+    """Return the state of a plant at ``time`` [s] as bytes; one that cannot raises ConfigError."""
+    with _PlantCall(f"{type(plant).__name__}.serialise_state", time, allowed=(ConfigError, FMUStepError)):
+        return bytes(plant.serialise_state())
+
+
+def resume_plant(plant: Plant, content: bytes, time: float) -> FloatArray:
+    """Have a plant go on from a state at ``time`` [s] and return its outputs there, shape (p,)."""
+    with _PlantCall(f"{type(plant).__name__}.deserialise_state", time, allowed=(ConfigError, FMUStepError)):
+        y = np.asarray(plant.deserialise_state(content))
+        return plant_outputs(plant, "deserialise_state", y, time)
+
+
 def plant_provenance(plant: Plant) -> dict[str, str]:
     """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
     try:

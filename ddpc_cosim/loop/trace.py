@@ -120,6 +120,8 @@ class Trace:
         What the plant has of these signals: of an input from ``time[k]`` on, of an output at that time.
     acting : tuple of str
         Names of the declared disturbances, those that controllers know nothing of included.
+    state : bytes
+        The plant's state at the last sample, where it was asked for and the run completed; else empty.
     """
 
     time: FloatArray
@@ -161,6 +163,7 @@ class Trace:
     emission: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     charged: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     acting: tuple[str, ...] = ()
+    state: bytes = b""
 
     def __len__(self) -> int:
         return len(self.time)

@@ -7,6 +7,7 @@ to sample, outputs are those at the end of each interval.
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,8 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.files.csv_files import CSVFile, split_unit, write_table
+from ddpc_cosim.files.durations import EXPECTED_MOMENT, moment_of
+from ddpc_cosim.loop.master import Resumption
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.plant import FMIType, ParameterValue
@@ -23,6 +26,7 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.signals.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
 from ddpc_cosim.simulation.request import Prepared, SimulationRequest, prepare
+from ddpc_cosim.simulation.state_file import PlantState
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
@@ -62,6 +66,8 @@ class Simulation:
         What the plant is.
     interrupted_by : KeyboardInterrupt or None
         What interrupted it.
+    state : PlantState or None
+        The plant at its last sample, where that was asked for and reached.
     """
 
     plant: str
@@ -77,6 +83,7 @@ class Simulation:
     notes: tuple[str, ...]
     provenance: dict[str, str]
     interrupted_by: KeyboardInterrupt | None = None
+    state: PlantState | None = None
 
     @property
     def completed(self) -> bool:
@@ -126,13 +133,16 @@ def simulate(
     *,
     inputs: "pd.DataFrame | str | Path | None" = None,
     parameters: Mapping[str, ParameterValue] | None = None,
-    stop: float | None = None,
+    start: float | str | date | None = None,
+    stop: float | str | date | None = None,
     step: float | None = None,
     outputs: Sequence[str] | None = None,
     fmi_type: FMIType = "auto",
     step_timeout: float = DEFAULT_STEP_TIMEOUT,
     trace_calls: str | Path | None = None,
     sandbox: bool = False,
+    save_state: str | Path | None = None,
+    load_state: str | Path | None = None,
 ) -> "pd.DataFrame":
     """Simulate a plant in open loop, in a process of its own.
 
@@ -147,9 +157,12 @@ def simulate(
         continuous are interpolated, others hold; inputs without a column keep their start values.
     parameters : mapping of str to float, int, bool or str, optional
         Parameters, start values, and inputs that are not driven. A number may have its unit: ``"50 [cm]"``.
-    stop, step : float, optional
-        End of the run and time between samples [s]; default: the FMU's default experiment, else the end of
-        the inputs or 10 s, and 500 intervals.
+    start, stop : float, str or date, optional
+        Start and end of the run [s], or moments as of ``loop.start_time`` of a study: ``"day 23"``, a date of
+        which the time of its year counts, ``"8 h"``. Default: the FMU's default experiment, else 0 and the
+        end of the inputs or 10 s. The times of ``inputs`` and of the result are on the same axis.
+    step : float, optional
+        Time between samples [s]; default: the FMU's default experiment, else 500 intervals.
     outputs : sequence of str, optional
         What is recorded; default: the outputs, of an FMU without any its states or local variables.
     fmi_type : str
@@ -160,6 +173,12 @@ def simulate(
         File that every FMI call is written to.
     sandbox : bool
         Whether it runs in a sandbox, as of :class:`FMUPlant`.
+    save_state : str or Path, optional
+        File for the plant's state at the last sample, which another simulation can go on from; nothing is
+        written of a run that ends early.
+    load_state : str or Path, optional
+        Such a file, of this very plant: the run begins at its time, with its parameters and its step, and
+        ``parameters`` may only change what is tunable.
 
     Returns
     -------
@@ -196,26 +215,45 @@ def simulate(
                 isinstance(parameters, Mapping | None),
                 "a mapping of names to values",
             ),
-            ("stop", stop, isinstance(stop, Real | None), "a number of seconds"),
+            *(
+                (name, moment, isinstance(moment, Real | str | date | None), EXPECTED_MOMENT)
+                for name, moment in (("start", start), ("stop", stop))
+            ),
             ("step", step, isinstance(step, Real | None), "a number of seconds"),
             ("outputs", outputs, _are_names(outputs), 'a list of names, such as ["y"]'),
             ("step_timeout", step_timeout, isinstance(step_timeout, Real), "a number of seconds"),
-            ("trace_calls", trace_calls, isinstance(trace_calls, str | Path | None), "the name of a file"),
+            *(
+                (name, path, isinstance(path, str | Path | None), "the name of a file")
+                for name, path in (
+                    ("trace_calls", trace_calls),
+                    ("save_state", save_state),
+                    ("load_state", load_state),
+                )
+            ),
         )
         if not fits
     ]
+    moments = list[float | None]()
+    for name, moment in (("start", start), ("stop", stop)):
+        try:
+            moments.append(moment_of(moment))
+        except ValueError as error:
+            faults.append(f"{name} = {moment!r} is not possible: {error}")
     if faults:
         raise ConfigError(faults)
     request = SimulationRequest(
         plant=str(plant),
         inputs=None if inputs is None else _input_file(inputs),
         values=parameters or {},
-        stop=stop,
+        start=moments[0],
+        stop=moments[1],
         step=step,
         outputs=outputs,
         fmi_type=fmi_type,
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
+        resumed=None if load_state is None else PlantState.read(Path(load_state)),
+        keeps_state=save_state is not None,
     )
     with demanded(sandbox):
         prepared = prepare(request)
@@ -224,6 +262,8 @@ def simulate(
         raise simulation.interrupted_by
     if not len(simulation.time):
         raise CosimError(f"{simulation.plant}: {simulation.outcome}: {simulation.reason}")
+    if simulation.state is not None and save_state is not None:
+        simulation.state.write(Path(save_state))
     if not simulation.completed:
         text = f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"
         warnings.warn(text, CosimWarning, stacklevel=2)
@@ -301,4 +341,28 @@ def _result(prepared: Prepared, trace: Trace, outcome: str, reason: str) -> Simu
         reason=reason,
         notes=(*prepared.notes, *([f"the FMU: {warnings}"] if warnings else [])),
         provenance=trace.provenance,
+        state=_state(prepared, trace),
+    )
+
+
+def _state(prepared: Prepared, trace: Trace) -> PlantState | None:
+    """Return the plant's state at the last sample, if the run has left it."""
+    case, last = prepared.case, trace.time[-2:-1]  # inputs are held from there on to the last sample
+    if not trace.state:
+        return None
+    earlier = prepared.resumed
+    before = case.resumed or Resumption(b"", case.start_time)
+    held = {name: float(values_at(signal, name, last)[0]) for name, signal in prepared.driven.items()}
+    return PlantState(
+        plant=prepared.label,
+        content=prepared.content,
+        platform=prepared.platform,
+        reset_time=before.reset_time,
+        start_time=case.start_time,
+        sampling_time=case.sampling_time,
+        samples=before.samples + len(trace) - 1,
+        parameters=case.parameters,
+        changed={**(earlier.changed if earlier else {}), **before.changed},
+        inputs={**(earlier.inputs if earlier else {}), **held},
+        state=trace.state,
     )

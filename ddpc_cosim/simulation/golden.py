@@ -107,7 +107,7 @@ class Golden:
         if abs(first - start) > slack or abs(last - end) > slack:
             raise ConfigError(
                 f"{self.path}: its times, {first:g} s to {last:g} s, are not those of the run, {start:g} s "
-                f"to {end:g} s; choose stop = {last:g}"
+                f"to {end:g} s; choose start = {first:g} and stop = {last:g}"
             )
         self._rows = np.rint((self.time - start) / step).astype(np.intp)
         between = self.time[np.abs(self.time - (start + self._rows * step)) > slack]

@@ -11,14 +11,18 @@ import numpy as np
 
 from ddpc_cosim.codec import read
 from ddpc_cosim.conditions import Conditions
-from ddpc_cosim.description import PlantDescription, choose_signals
+from ddpc_cosim.description import DefaultExperiment, PlantDescription, choose_signals
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
+from ddpc_cosim.files.durations import shown
+from ddpc_cosim.fmu.library import platform_folders
+from ddpc_cosim.loop.master import Resumption
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.loop.setup import end_time, whole_steps
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.signals.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
+from ddpc_cosim.simulation.state_file import PlantState
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
@@ -39,6 +43,7 @@ class SimulationRequest(NamedTuple):
     plant: str
     inputs: CSVFile | None = None
     values: Mapping[str, ParameterValue] = {}
+    start: float | None = None
     stop: float | None = None
     step: float | None = None
     outputs: Sequence[str] | None = None
@@ -46,16 +51,21 @@ class SimulationRequest(NamedTuple):
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     trace_calls: str = ""
     golden: CSVFile | None = None
+    resumed: PlantState | None = None
+    keeps_state: bool = False
 
 
 class Prepared(NamedTuple):
-    """What is going to run: checked, with everything chosen."""
+    """What is going to run: checked, with everything chosen; ``content`` decides the plant's behaviour."""
 
     label: str
     case: Case
     driven: Mapping[str, Steps]
     notes: tuple[str, ...]
     golden: Golden | None
+    content: str
+    platform: str
+    resumed: PlantState | None = None
 
 
 class _Faults(list[str]):
@@ -107,9 +117,12 @@ class _Subject:
         return dict.fromkeys(self.description.outputs, "not recorded")
 
     def parameters(
-        self, values: Mapping[str, ParameterValue], driven: Sequence[str]
+        self,
+        values: Mapping[str, ParameterValue],
+        driven: Sequence[str],
+        resumed: PlantState | None = None,
     ) -> dict[str, ParameterValue]:
-        """Return parameters and start values in their units.
+        """Return parameters and start values in their units; of a run that goes on, tunable ones.
 
         Raises
         ------
@@ -120,12 +133,16 @@ class _Subject:
         for name, value in values.items():
             if (plain := faults.collect(self._value, name, value)) is not None:
                 converted[name] = plain
-        faults.collect(self._check_values, converted, driven)
+        before = {} if resumed is None else resumed.values
+        new = {name: value for name, value in converted.items() if before.get(name) != value}
+        faults.collect(self._check_values, new, driven, resumed is not None)
         if faults:
             raise ConfigError(faults)
         return converted
 
-    def _check_values(self, values: Mapping[str, ParameterValue], driven: Sequence[str]) -> None:
+    def _check_values(
+        self, values: Mapping[str, ParameterValue], driven: Sequence[str], goes_on: bool
+    ) -> None:
         """Raise ConfigError for values that are not possible, as far as that is known before the run."""
 
     def _parameter(self, name: str) -> Variable:
@@ -198,11 +215,13 @@ class _FMUSubject(_Subject):
         some = f"the first {_MOST_LOCALS} of {len(locals_)}" if len(locals_) > _MOST_LOCALS else "all"
         return locals_[:_MOST_LOCALS], [f"the FMU has no outputs: local variables are recorded, {some}"]
 
-    def _check_values(self, values: Mapping[str, ParameterValue], driven: Sequence[str]) -> None:
+    def _check_values(
+        self, values: Mapping[str, ParameterValue], driven: Sequence[str], goes_on: bool
+    ) -> None:
         from ddpc_cosim.fmu.buffers import StartValues
 
         signals = [s for s in map(self.description.signal, driven) if s is not None]
-        StartValues(self.description, self.label, values, signals)
+        StartValues(self.description, self.label, values, signals, tunable_only=goes_on)
 
     def _parameter(self, name: str) -> Variable:
         signal = self.description.signal(name)
@@ -239,12 +258,17 @@ def prepare(request: SimulationRequest) -> Prepared:
     CosimError
         The plant cannot be loaded.
     """
-    subject, faults = _subject(request), _Faults()
+    subject, faults, resumed = _subject(request), _Faults(), request.resumed
+    content, platform = subject.spec.content, platform_folders(3)[0] if subject.spec.files else ""
+    if resumed is not None and (others := resumed.faults(subject.label, content, platform)):
+        raise ConfigError(others)  # of another plant, nothing else can be said
+    if resumed is not None or request.keeps_state:
+        faults.collect(_check_can_serialise, subject)
     if not 0 < request.step_timeout < math.inf:
         faults.append(f"step_timeout = {request.step_timeout} is not possible; allowed: a finite number > 0")
     outputs, notes = faults.collect(subject.readable, request.outputs, request.golden) or ([], [])
     driven = faults.collect(_read_inputs, subject, request.inputs) or {} if request.inputs else {}
-    values = faults.collect(subject.parameters, request.values, list(driven))
+    values = faults.collect(subject.parameters, request.values, list(driven), resumed) or {}
     known = {v.name: v for v in (*outputs, *(subject.description.inputs[name] for name in driven))}
     golden = None
     if request.golden is not None:
@@ -254,6 +278,8 @@ def prepare(request: SimulationRequest) -> Prepared:
         start, step, count, chosen = times
         notes += chosen
         end = start + count * step
+        if resumed is not None:
+            notes = [*_said_of_state(resumed, subject, [*driven, *values]), *notes]
         if request.inputs is not None:
             faults.collect(_check_covered, request.inputs, driven, start, end)
         if golden is not None:
@@ -268,6 +294,13 @@ def prepare(request: SimulationRequest) -> Prepared:
     if traced is not None:
         traced.write_bytes(b"")
     at_start = {name: float(values_at(s, name, np.array([start]))[0]) for name, s in driven.items()}
+    resumption = None
+    if resumed is not None:
+        changed = {name: value for name, value in values.items() if resumed.values.get(name) != value}
+        values = {name: value for name, value in resumed.parameters.items() if name not in driven}
+        resumption = Resumption(resumed.state, resumed.reset_time, changed=changed)
+        if step == resumed.sampling_time:  # on the samples of that run, to the last bit of their times
+            start, resumption = resumed.start_time, resumption._replace(samples=resumed.samples)
     case = Case(
         controller=subject.label,
         scenario="nominal",
@@ -287,14 +320,36 @@ def prepare(request: SimulationRequest) -> Prepared:
         excitation=None,
         recording=None,
         stabiliser=None,
-        parameters=values or {},
+        parameters=values,
         noise={},
         conditions=Conditions(inputs=driven),
         undriven=tuple(subject.description.inputs[name] for name in driven),
         step_timeout=request.step_timeout,
         id="simulation",
+        resumed=resumption,
+        keeps_state=request.keeps_state,
     )
-    return Prepared(subject.label, case, driven, tuple(notes), golden)
+    return Prepared(subject.label, case, driven, tuple(notes), golden, content, platform, resumed)
+
+
+def _check_can_serialise(subject: _Subject) -> None:
+    """Raise ConfigError if the plant's state cannot be had as bytes, and why."""
+    plant = subject.spec.open((), ())
+    try:
+        if not plant.can_serialise_state:
+            plant.serialise_state()  # which says why
+            raise ConfigError(f"{subject.label}: the state cannot be saved as bytes")
+    finally:
+        plant.close()
+
+
+def _said_of_state(resumed: PlantState, subject: _Subject, given: Sequence[str]) -> list[str]:
+    """Return what is to be said of a state, and of inputs that were driven and are not now."""
+    known = subject.description.inputs
+    held = [name for name in resumed.inputs if name in known and name not in given]
+    values = [f"{name} = {resumed.inputs[name]:g} {known[name].unit}".strip() for name in held]
+    texts = [f"not driven now, held as in the state: {', '.join(values)}"]
+    return [f"goes on at t = {shown(resumed.time)} from a state", *(texts if held else [])]
 
 
 def _read_inputs(subject: _Subject, file: CSVFile) -> dict[str, Steps]:
@@ -347,21 +402,31 @@ def _times(
     subject: _Subject, request: SimulationRequest, driven: Mapping[str, Steps], golden: Golden | None
 ) -> tuple[float, float, int, list[str]]:
     """Return start time, time between samples [s], number of intervals, and what was chosen."""
-    experiment = subject.description.default_experiment
-    start, notes, faults = experiment.start_time or 0.0, list[str](), list[str]()
+    experiment, faults = subject.description.default_experiment, list[str]()
+    start, notes = _start(request, experiment, golden)
     stop, step = request.stop, request.step
+    if step is None and request.resumed is not None:
+        step = request.resumed.sampling_time
+    if request.resumed is not None and request.start not in (None, start):
+        faults.append(
+            f"start = {request.start:g} s is not possible: the state is that at {start:g} s, where the run "
+            "goes on; leave it out"
+        )
     if stop is None and golden is not None and golden.time[-1] > start:
         stop = float(golden.time[-1])
         notes.append(f"stop = {stop:g} s, as in {golden.path.name}")
-    if stop is None and experiment.stop_time is not None and experiment.stop_time > start:
-        stop = experiment.stop_time
+    if stop is None and experiment.stop_time is not None:
+        stop, said = _default_stop(start, experiment.start_time or 0.0, experiment.stop_time)
+        notes += said
     if stop is None:
         ends = [signal.times[-1] for signal in driven.values()]
         stop = ends[0] if ends and ends[0] > start else start + _DURATION
         notes.append(
             f"stop = {stop:g} s, as the plant does not say" + (": the end of the inputs" if ends else "")
         )
-    if not start < stop < math.inf:
+    if not math.isfinite(start):
+        faults.append(f"start = {start:g} s is not possible; allowed: a finite number")
+    elif not start < stop < math.inf:
         faults.append(f"stop = {stop:g} s is not possible; allowed: a number > {start:g}, the start time")
     if step is not None and not 0 < step < math.inf:
         faults.append(f"step = {step:g} s is not possible; allowed: a number > 0")
@@ -383,6 +448,32 @@ def _times(
     return start, step, count, notes
 
 
+def _start(
+    request: SimulationRequest, experiment: DefaultExperiment, golden: Golden | None
+) -> tuple[float, list[str]]:
+    """Return the start time [s], and what is to be said of it."""
+    begin, asked = experiment.start_time or 0.0, request.start
+    if request.resumed is not None:
+        return request.resumed.time, []
+    if asked is None and golden is not None:
+        first = float(golden.time[0])
+        return first, [] if first == begin else [f"start = {first:g} s, as in {golden.path.name}"]
+    if asked is None or not asked < begin:
+        return begin if asked is None else asked, []
+    early = f"start = {asked:g} s is before the plant's default experiment, which begins at {begin:g} s"
+    return asked, [f"{early}: what it reads over time, such as weather, may not reach back so far"]
+
+
+def _default_stop(start: float, begin: float, end: float) -> tuple[float | None, list[str]]:
+    """Return the stop time of a run from its start on, by a default experiment [s]; None: it has none."""
+    if end > start:
+        return end, []
+    if not end > begin:
+        return None, []
+    stop = start + (end - begin)
+    return stop, [f"stop = {stop:g} s: as long as the default experiment, which ends at {end:g} s"]
+
+
 def _default_step(subject: _Subject, preferred: float | None, duration: float) -> tuple[float, list[str]]:
     if preferred and 0 < preferred <= duration and duration / preferred <= _MOST_SAMPLES:
         return preferred, []
@@ -400,7 +491,7 @@ def _check_covered(file: CSVFile, driven: Mapping[str, Steps], start: float, end
         if first > start + slack or last < end - slack:
             raise ConfigError(
                 f"{file.path}: its times, {first:g} s to {last:g} s, do not cover the run, {start:g} s to "
-                f"{end:g} s; choose another stop, or add rows"
+                f"{end:g} s; choose another start or stop, or add rows"
             )
         return
 

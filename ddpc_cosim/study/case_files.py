@@ -31,7 +31,7 @@ from ddpc_cosim.responses import Tracking
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import temporary_name, write_atomically, write_through
 
-RUN_FILE = "run.json"
+RUN_FILE, _STATE_FILE = "run.json", "plant.state"
 STAGING = ".staging-"
 """What the names of folders begin with in which files stand until they are complete."""
 # What holds the samples, by how they are stored.
@@ -44,7 +44,7 @@ LEFT_FOLDER = "left"
 _MOST_LEFT, _MOST_LOOKED_AT, _DEEPEST_LEFT = 100, 20_000, 50
 DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
-_LONGEST_RUN = 1 << 26
+_LONGEST_RUN, _LONGEST_STATE = 1 << 26, 1 << 29
 # These may end otherwise next time: only a result that would come out the same is kept.
 _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
 # What reading a file raises that has been cut off or changed, or that another version wrote.
@@ -290,7 +290,10 @@ def stage_case(
     file = staged / _SIGNALS_FILES[run["storage"]]
     write_table(file, trace.columns(), {"status": trace.status})
     signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
-    (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
+    state = {"state": checksum(trace.state)} if trace.state else {}
+    if state:
+        (staged / _STATE_FILE).write_bytes(trace.state)
+    (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals} | state))
     for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
         write_through(staged / name)
 
@@ -322,6 +325,8 @@ def accept_case(
     printed: str,
     longest: int,
     left: Mapping[str, int] | None = None,
+    *,
+    keeps_state: bool = False,
 ) -> None:
     """Move what a process that has ended has staged to where its case belongs, if it is that case.
 
@@ -337,6 +342,8 @@ def accept_case(
         Bytes that its samples can take.
     left : mapping of str to int, optional
         What it has left, as of :func:`left_in`; default: what the process says itself.
+    keeps_state : bool
+        Whether the plant's state may be among its files.
 
     Raises
     ------
@@ -345,7 +352,8 @@ def accept_case(
     CosimError
         It cannot be moved, and why.
     """
-    _check_staged(staged, {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILES[head["storage"]]: longest})
+    allowed = {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILES[head["storage"]]: longest}
+    _check_staged(staged, allowed | ({_STATE_FILE: _LONGEST_STATE} if keeps_state else {}))
     load_case(staged, head["id"])
     run = read_run(staged)
     for key, value in head.items():
@@ -505,6 +513,16 @@ def _signals(folder: Path, run: dict[str, Any]) -> bytes:
     return content
 
 
+def _state(folder: Path, run: dict[str, Any]) -> bytes:
+    """Return the plant's state, empty if it was not kept; ValueError: it is not what was written."""
+    if "state" not in run:
+        return b""
+    state = (folder / _STATE_FILE).read_bytes()
+    if checksum(state) != run["state"]:
+        raise ValueError(f"{_STATE_FILE} is not what was written: its checksum differs")
+    return state
+
+
 def _storage(run: dict[str, Any]) -> str:
     """Return how the samples are stored; earlier versions had one way."""
     storage: str = run.get("storage", "csv")
@@ -597,6 +615,7 @@ def read_trace(folder: Path) -> Trace:
 
     limits = ("min", "max")
     return Trace(
+        state=_state(folder, run),
         disturbances=tuple(disturbances),
         acting=tuple(run.get("acting", ())),
         d=table(disturbances, ("disturbance ",)) if disturbances else np.empty((0, 0)),

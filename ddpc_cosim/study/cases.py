@@ -25,7 +25,7 @@ from ddpc_cosim.errors import (
 )
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop import safe_calls
-from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, cosimulate
+from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, Resumption, cosimulate
 from ddpc_cosim.loop.outlook import Limit, Limits, table_widths
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import MetricSettings
@@ -56,7 +56,7 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
 # What a case has besides all that decides its result.
 _NAMES, _OF_EXECUTION = (
     ("label", "id", "problem"),
-    ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
+    ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage", "keeps_state"),
 )
 _NOT_DECISIVE = (*_NAMES, *_OF_EXECUTION, "late", "metrics", "seed", "shared_bounds")
 # What is part of a case only where its study says something of it: ids of other cases do not know it.
@@ -69,6 +69,7 @@ _WHERE_SAID = (
     "forecast_horizon",
     "warm_up",
     "warm_up_controller",
+    "resumed",
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
@@ -146,6 +147,10 @@ class Case:
         How long the plant runs before the first sample [s].
     warm_up_controller : dict or None
         Type and settings of the controller that it has then; None: its own control.
+    resumed : Resumption or None
+        The state of another run that it goes on from.
+    keeps_state : bool
+        Whether the plant's state at its end is kept, which does not decide the result.
     metrics : MetricSettings
         What its figures depend on besides its samples, which they do not decide.
     late : str
@@ -202,6 +207,8 @@ class Case:
     forecast_horizon: int | None = None
     warm_up: float = 0.0
     warm_up_controller: dict[str, Any] | None = None
+    resumed: Resumption | None = None
+    keeps_state: bool = False
 
     @property
     def name(self) -> str:
@@ -218,6 +225,11 @@ class Case:
     def changed_inputs(self) -> tuple[Variable, ...]:
         """The inputs that the plant may be given otherwise than a controller commands them."""
         return changed_inputs(self.conditions, (*self.inputs, *self.undriven))
+
+    def times(self, count: int) -> FloatArray:
+        """Return the times of its first samples [s], shape (count,)."""
+        begun = 0 if self.resumed is None else self.resumed.samples
+        return self.start_time + (begun + np.arange(count, dtype=np.float64)) * self.sampling_time
 
     def variable(self, name: str) -> Variable:
         """Return a signal that takes part, by its name."""
@@ -603,6 +615,8 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         prices=case.prices,
         warm_up=case.warm_up,
         warm_up_controller=warm_up_controller,
+        resumed=case.resumed,
+        keeps_state=case.keeps_state,
         store=store,
     )
     return replace(trace, warnings=(*trace.warnings, *_before_time_0(case, trace)))
@@ -655,8 +669,7 @@ def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool =
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
     """Return the trace of a case whose process is gone, with the rows that it has left."""
-    time = case.start_time + np.arange(store.count, dtype=np.float64) * case.sampling_time
-    return replace(no_samples(case, outcome, reason), time=time, **store.written())
+    return replace(no_samples(case, outcome, reason), time=case.times(store.count), **store.written())
 
 
 def _planned_samples(case: Case) -> int:
@@ -665,8 +678,8 @@ def _planned_samples(case: Case) -> int:
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
     """Return the trace of a case that failed before its first sample."""
-    time = case.start_time + np.arange(_planned_samples(case), dtype=np.float64) * case.sampling_time
-    limits = Limits.over((*case.inputs, *case.outputs), len(case.inputs), case.bounds, time)
+    signals, time = (*case.inputs, *case.outputs), case.times(_planned_samples(case))
+    limits = Limits.over(signals, len(case.inputs), case.bounds, time)
     return Trace(
         time=np.empty(0),
         **_store(case, 1).written(),

@@ -14,6 +14,7 @@ from ddpc_cosim.codec import in_folder, plant_in_folder
 from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
+from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.loop.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -434,6 +435,7 @@ class PythonPlant(Plant):
         self._driven = [self._names.index(name) for name in inputs]
         self._at_rest = np.array([variable.start for variable in every], dtype=np.float64)
         self._u = self._at_rest
+        self._held, self._y = self._at_rest, np.empty(0)
         self.inputs = tuple(every[index] for index in self._driven)
         self.outputs = tuple(self._plant.outputs)
         self.dependencies = {
@@ -458,7 +460,9 @@ class PythonPlant(Plant):
         """Go to the initial state and return the outputs there, shape (p,)."""
         self._t0, self._steps = t0, 0
         self._u = self._at_rest.copy()
-        return reset_plant(self._plant, self._at_inputs(parameters or {}), t0)
+        self._y = reset_plant(self._plant, self._at_inputs(parameters or {}), t0)
+        self._held = self._u
+        return self._y
 
     def _at_inputs(self, values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
         """Take the values of inputs that are not driven, and return the others."""
@@ -469,8 +473,10 @@ class PythonPlant(Plant):
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the driven inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        y = step_plant(self._plant, self._every(u), h, self._time)
+        held = self._every(u)
+        y = step_plant(self._plant, held, h, self._time)
         self._steps, self._h = self._steps + 1, h
+        self._held, self._y = held, y
         return y
 
     @property
@@ -500,6 +506,33 @@ class PythonPlant(Plant):
         """Go back to a state."""
         saved, self._t0, self._steps, self._h = cast("tuple[object, float, int, float]", state)
         self._plant.restore_state(saved)
+
+    @property
+    def can_serialise_state(self) -> bool:
+        """Whether the plant says that its state can be saved, and is data."""
+        return self._plant.can_save_state and self._plant.state_is_data
+
+    def serialise_state(self) -> bytes:
+        """Return the plant's state, time, inputs and outputs as bytes."""
+        if not self.can_serialise_state:
+            lacking = "state_is_data" if self._plant.can_save_state else "can_save_state"
+            reason = f"the plant does not say that its state can be saved as bytes ({lacking} is false)"
+            raise ConfigError(f"{type(self._plant).__name__}: {reason}")
+        clock, held = (self._t0, self._steps, self._h), dict(zip(self._names, self._held, strict=True))
+        state = self._plant.save_state()
+        return to_bytes({"state": state, "clock": clock, "inputs": held, "outputs": self._y})
+
+    def deserialise_state(self, content: bytes) -> FloatArray:
+        """Go on from the state of another run; return the outputs there, shape (p,)."""
+        with understood(f"{type(self._plant).__name__}: the state"):
+            saved = from_bytes(content)
+            self._held = np.array([float(saved["inputs"][name]) for name in self._names])
+            t0, steps, h = saved["clock"]
+            self._t0, self._steps, self._h = float(t0), int(steps), float(h)
+            self._y = np.array(saved["outputs"], dtype=np.float64)
+        self._u = self._held.copy()
+        self._plant.restore_state(saved["state"])
+        return self._y
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""

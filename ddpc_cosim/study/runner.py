@@ -765,7 +765,8 @@ class _Run:
         try:
             printed, longest = "" if goes_on else self.worker.end().output, self._longest_samples()
             left = left_in(self._work)
-            accept_case(self._staged, self._folder, self.case.head(), printed, longest, left)
+            head, keeps_state = self.case.head(), self.case.keeps_state
+            accept_case(self._staged, self._folder, head, printed, longest, left, keeps_state=keeps_state)
             self.worker_goes_on = goes_on
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
@@ -800,7 +801,7 @@ class _Run:
             who, time = case.plant.label, call.time
         elif call.who == "controller":
             who = f"controller {case.section['type']}"
-            time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
+            time = float(case.times(count)[-1]) if count else math.nan
         error = lost(who, call.name or "between two calls", time, exit_status, seconds)
         when = "" if count else "before the first sample: "
         if call.name.partition(" ")[0] in _AT_THE_END:

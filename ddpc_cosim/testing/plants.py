@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.files.plain_data import from_bytes, to_bytes
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.suggestion.design import input_bounds, working_range
 from ddpc_cosim.testing.check_results import CheckFailedError, NotApplicableError
@@ -204,6 +205,30 @@ def restores_a_saved_state(subject: PlantUnderTest) -> None:
         _require_close(plant, first, second, subject.tolerance, "after its state was restored")
 
 
+def goes_on_from_its_state_as_bytes(subject: PlantUnderTest) -> None:
+    """Require that another instance goes on from a state that was saved as bytes as this one does."""
+    with subject.plant() as plant:
+        if not (plant.can_serialise_state or (plant.can_save_state and plant.state_is_data)):
+            raise NotApplicableError("the plant does not say that its state can be saved as bytes")
+        if _only_one_instance(plant):
+            raise NotApplicableError("the FMU allows one instance per process only")
+        before, after = np.array_split(subject.inputs(plant), 2)
+        subject.run(plant, before)
+        is_plain = not plant.can_serialise_state
+        content = to_bytes(plant.save_state()) if is_plain else plant.serialise_state()
+        first = np.array([plant.step(u, subject.sampling_time) for u in after])
+        with subject.plant() as other:
+            subject.reset(other)
+            if is_plain:
+                other.restore_state(from_bytes(content))
+            else:
+                other.deserialise_state(content)
+            second = np.array([other.step(u, subject.sampling_time) for u in after])
+        _require_close(
+            plant, first, second, subject.tolerance, "in another instance, from its state as bytes"
+        )
+
+
 def tells_what_depends_on_inputs_at_once(subject: PlantUnderTest) -> None:
     """Require outputs without a step that are those of the last one, and follow the declared inputs only."""
     with subject.plant() as plant:
@@ -266,6 +291,7 @@ PLANT_CHECKS: Mapping[str, Callable[[PlantUnderTest], None]] = {
         does_not_depend_on_the_step_size,
         two_instances_are_independent,
         restores_a_saved_state,
+        goes_on_from_its_state_as_bytes,
         tells_what_depends_on_inputs_at_once,
         refuses_unknown_parameters,
         can_be_closed_twice,

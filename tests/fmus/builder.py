@@ -190,17 +190,22 @@ def _describe_3(token: str, variables: list[V], interfaces: str, indicators: int
 
 @cache
 def model_library(
-    version: str, *, complete: bool = False, telling: bool = False, fast_math: bool = False
+    version: str,
+    *,
+    complete: bool = False,
+    telling: bool = False,
+    fast_math: bool = False,
+    keeping: bool = False,
 ) -> bytes:
     """Return the library for an FMI version.
 
     It has no more functions than runs need, or is complete, or tells directional derivatives (FMI 2.0), or
-    does when it is loaded what compilers link in for fast-math.
+    does when it is loaded what compilers link in for fast-math, or keeps states and makes bytes of them.
     """
     names = ("models.h", "models.c", f"front{version[0]}.c")
     sources = {name: (HERE / name).read_text(encoding="utf-8") for name in names}
     required = {"1": "models_fmiDoStep", "2": "fmi2DoStep", "3": "fmi3DoStep"}[version[0]]
-    asked = {"COMPLETE": complete, "TELLING": telling, "FAST_MATH": fast_math}
+    asked = {"COMPLETE": complete, "TELLING": telling, "FAST_MATH": fast_math, "KEEPING": keeping}
     switches = [f"-D{name}" for name, wanted in asked.items() if wanted]
     return compile_library(find_compiler(), sources, [required], switches)
 
@@ -288,6 +293,25 @@ def model_fmu(folder: Path, version: str, model: str, fault: Fault = Fault.NO_FA
         version, token, with_time(version, MODELS[model]), indicators=int(model == "ball"), **settings
     )
     return write_fmu(folder / f"{model}{version[0]}.fmu", description, model_library(version))
+
+
+def keeping_fmu(
+    folder: Path, version: str, model: str, claims: Iterable[str] = ("GetAndSet", "Serialize"), **how: Any
+) -> Path:
+    """Write one of the models as an FMU that keeps states and makes bytes of them, as far as it claims so.
+
+    ``head`` is a part of its description; ``able``: whether its library can; ``fault`` as of model_fmu.
+    """
+    state = "State" if version[0] == "3" else "state"
+    claimed = "".join(f' can{claim}FMU{state}="true"' for claim in claims)
+    both = f'<{{}} modelIdentifier="{IDENTIFIER}"{claimed}{{}}/>'
+    step = ' canHandleVariableCommunicationStepSize="true"'
+    interfaces = both.format("ModelExchange", "") + both.format("CoSimulation", step)
+    able, fault = how.pop("able", True), how.pop("fault", Fault.NO_FAULT)
+    token, variables = f"{model}:{int(fault)}" if fault else model, with_time(version, MODELS[model])
+    text = describe(version, token, variables, indicators=int(model == "ball"), interfaces=interfaces, **how)
+    library = model_library(version, keeping=able)
+    return write_fmu(folder / f"{model}{version[0]}.fmu", text, library)
 
 
 TELLS = (

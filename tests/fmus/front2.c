@@ -3,6 +3,7 @@
 #include "models.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 typedef struct {
@@ -154,6 +155,39 @@ EXPORT int fmi2GetDirectionalDerivative(void *c, const unsigned z[], size_t nz, 
         for (size_t j = 0; j < nv && z[i] == DX; j++)
             dz[i] += (v[j] == U ? slope : -slope) * dv[j];
     }
+    return 0;
+}
+#endif
+
+#ifdef KEEPING
+EXPORT int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size)
+{
+    *size = sizeof(Model);
+    return 0;
+}
+EXPORT int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size)
+{
+    memcpy(bytes, state, size);
+    return 0;
+}
+EXPORT int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state)
+{
+    return deserialised(c, bytes, size, state);
+}
+EXPORT int fmi2GetFMUstate(void *c, void **state)
+{
+    *state = saved(c);
+    return 0;
+}
+EXPORT int fmi2SetFMUstate(void *c, void *state)
+{
+    restore(c, state);
+    return 0;
+}
+EXPORT int fmi2FreeFMUstate(void *c, void **state)
+{
+    free(*state);
+    *state = NULL;
     return 0;
 }
 #endif

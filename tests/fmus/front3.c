@@ -160,13 +160,12 @@ EXPORT int fmi3UpdateDiscreteStates(void *c, bool *again, bool *terminate, bool 
 }
 EXPORT int fmi3GetFMUState(void *c, void **state)
 {
-    *state = malloc(sizeof(Model));
-    memcpy(*state, c, sizeof(Model));
+    *state = saved(c);
     return 0;
 }
 EXPORT int fmi3SetFMUState(void *c, void *state)
 {
-    memcpy(c, state, sizeof(Model));
+    restore(c, state);
     return 0;
 }
 EXPORT int fmi3FreeFMUState(void *c, void **state)
@@ -175,6 +174,22 @@ EXPORT int fmi3FreeFMUState(void *c, void **state)
     *state = NULL;
     return 0;
 }
+#ifdef KEEPING
+EXPORT int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size)
+{
+    *size = sizeof(Model);
+    return 0;
+}
+EXPORT int fmi3SerializeFMUState(void *c, void *state, unsigned char bytes[], size_t size)
+{
+    memcpy(bytes, state, size);
+    return 0;
+}
+EXPORT int fmi3DeserializeFMUState(void *c, const unsigned char bytes[], size_t size, void **state)
+{
+    return deserialised(c, bytes, size, state);
+}
+#endif
 EXPORT int fmi3CompletedIntegratorStep(void *c, bool no_set_state, bool *event, bool *terminate)
 {
     *event = completed_step(c);

@@ -390,6 +390,31 @@ int ends_after_step(const Model *m)
 
 int completed_step(const Model *m) { return m->kind == RELAY && m->values[X] > 1.0; }
 
+void *saved(const Model *m)
+{
+    Model *state = malloc(sizeof *state);
+    *state = *m;
+    memset(&state->logging, 0, sizeof state->logging);
+    return state;
+}
+
+void restore(Model *m, const void *state)
+{
+    Logging logging = m->logging;
+    *m = *(const Model *)state;
+    m->logging = logging;
+}
+
+int deserialised(const Model *m, const void *bytes, size_t size, void **state)
+{
+    if (size != sizeof *m || ((const Model *)bytes)->kind != m->kind) {
+        say(m, ERROR, "this is not a state of mine");
+        return ERROR;
+    }
+    *state = saved(bytes);
+    return OK;
+}
+
 size_t feed_length(const Model *m, unsigned reference)
 {
     unsigned r = reference % 100;

@@ -112,6 +112,11 @@ int handle_event(Model *m);         /* whether the states have jumped */
 int completed_step(const Model *m); /* whether an event is wanted */
 int ends_after_step(const Model *m);
 
+/* Copies of an instance, which are its states: all but whom it tells its messages. */
+void *saved(const Model *m);
+void restore(Model *m, const void *state);
+int deserialised(const Model *m, const void *bytes, size_t size, void **state);
+
 size_t feed_length(const Model *m, unsigned reference);
 
 #endif

@@ -38,8 +38,21 @@ def simulate(
         name="--set",
         metavar="NAME=VALUE",
     ),
-    stop: float | None = option(None, "End of the run in s [the FMU's default experiment].", metavar="T"),
-    step: float | None = option(None, "Time between samples in s [the FMU's, or 500 steps].", metavar="H"),
+    start: float | None = option(
+        None,
+        "Start of the run in s, or a moment such as `day 23` [the FMU's default experiment].",
+        type=options.MOMENT,
+        metavar="T",
+    ),
+    stop: float | None = option(
+        None, "End of the run, likewise [the FMU's default experiment].", type=options.MOMENT, metavar="T"
+    ),
+    step: float | None = option(
+        None,
+        "Time between samples in s, or such as `15 min` [the FMU's, or 500 steps].",
+        type=options.DURATION,
+        metavar="H",
+    ),
     outputs: tuple[str, ...] = option(
         (), "Record these; may be repeated [the outputs, else states].", metavar="NAME,..."
     ),
@@ -64,14 +77,29 @@ def simulate(
         None, "Write every FMI call with its arguments, status and results.", metavar="FILE"
     ),
     sandbox: bool = options.SANDBOX,
+    save_state: Path | None = option(
+        None, "Save the plant's state at the end, for another run to go on from.", metavar="FILE"
+    ),
+    load_state: Path | None = option(
+        None, "Go on from a state that was saved of this very plant.", metavar="FILE"
+    ),
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     from ddpc_cosim.files.csv_files import CSVFile
     from ddpc_cosim.simulation.request import SimulationRequest
+    from ddpc_cosim.simulation.state_file import PlantState
 
     try:
-        read = [Path(plant), *(path for path in (inputs, golden) if path is not None)]
+        read = [Path(plant), *(path for path in (inputs, golden, load_state) if path is not None)]
         faults = [fault for path in out if (fault := _impossible(path, read))]
+        if save_state is not None and (fault := _no_place("--save-state", save_state, read)):
+            faults.append(fault)
+        resumed = None
+        if load_state is not None:
+            try:
+                resumed = PlantState.read(load_state)
+            except ConfigError as error:
+                faults += error.faults
         files, given = dict[str, CSVFile | None](), dict[str, str]()
         try:
             given = assignments("--set", values, str)
@@ -88,6 +116,7 @@ def simulate(
             plant=plant,
             inputs=files["inputs"],
             values=given,
+            start=start,
             stop=stop,
             step=step,
             outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,
@@ -95,13 +124,17 @@ def simulate(
             step_timeout=step_timeout,
             trace_calls=str(trace_calls or ""),
             golden=files["compare"],
+            resumed=resumed,
+            keeps_state=save_state is not None,
         )
-        return _simulate(request, out, rel, sandbox=sandbox)
+        return _simulate(request, out, rel, save_state, sandbox=sandbox)
     except KeyboardInterrupt as asked:  # no cases are kept, of which something could be said
         return exit_code(asked)
 
 
-def _simulate(request: "SimulationRequest", out: Sequence[Path], rel: float, *, sandbox: bool) -> int:
+def _simulate(
+    request: "SimulationRequest", out: Sequence[Path], rel: float, save_state: Path | None, *, sandbox: bool
+) -> int:
     """Simulate, write what is asked for, print a summary, and return the exit code.
 
     Raises
@@ -124,10 +157,15 @@ def _simulate(request: "SimulationRequest", out: Sequence[Path], rel: float, *, 
         raise
     for path in out:
         _write(simulation, path)
+    if save_state is not None and simulation.state is not None:
+        simulation.state.write(save_state)
+        out = (*out, save_state)
     difference = simulation.compare(prepared, rel)
     _print(simulation)
     for path in out:
         print(printable(str(path)))
+    if save_state is not None and simulation.state is None:
+        say(f"--save-state {save_state}: not written: there is nothing to go on from", err=True)
     if difference is not None:
         say(difference.words)
     if not simulation.completed:
@@ -140,14 +178,19 @@ def _simulate(request: "SimulationRequest", out: Sequence[Path], rel: float, *, 
 
 def _impossible(path: Path, read: Sequence[Path]) -> str:
     """Return why a file cannot be written; empty if it can be tried."""
-    from ddpc_cosim.simulation.request import overwrites
-
     if path.suffix not in _SUFFIXES:
         return f"--out {path}: the name must end in {', '.join(_SUFFIXES)}"
+    return _no_place("--out", path, read)
+
+
+def _no_place(option: str, path: Path, read: Sequence[Path]) -> str:
+    """Return why a file that an option names has no place; empty if it can be tried."""
+    from ddpc_cosim.simulation.request import overwrites
+
     if not path.parent.is_dir():
-        return f"--out {path}: no such folder: {path.parent}"
+        return f"{option} {path}: no such folder: {path.parent}"
     fault = overwrites(path, read)
-    return f"--out {fault}" if fault else ""
+    return f"{option} {fault}" if fault else ""
 
 
 def _write(simulation: "Simulation", path: Path) -> None:

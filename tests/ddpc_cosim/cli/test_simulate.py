@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from fmus.builder import Fault, model_fmu
+from fmus.builder import Fault, keeping_fmu, model_fmu
 
 from ddpc_cosim.cli.main import main
 
@@ -131,3 +131,65 @@ def test_a_run_without_samples_is_told_everywhere(folder: Path) -> None:
     assert (folder / "none.csv").read_text(encoding="utf-8") == "time [s],x [1],outcome\n"
     assert "fmu-error: before the first sample: " in (folder / "none.html").read_text(encoding="utf-8")
     assert "lag2.fmu (fmu-error)" in (folder / "none.svg").read_text(encoding="utf-8")
+
+
+def test_a_winter_day_is_run_and_compared(folder: Path) -> None:
+    """Moments and durations in words; the golden file says where a run begins that is compared with it."""
+    model_fmu(folder, "2.0", "lag", head='<DefaultExperiment startTime="0" stopTime="31536000"/>')
+    moments = ("--start", "day 23", "--stop", "day 23", "--step", "15 min")
+    refused = simulate("lag2.fmu", *moments)
+    assert refused.exit_code == 2
+    assert "stop = 1.9008e+06 s is not possible; allowed: a number > 1.9008e+06" in refused.stderr
+    given = ("--start", "2026-01-23", "--stop", "2026-01-23T06:00", "--step", "15 min", "--out", "day.csv")
+    first = simulate("lag2.fmu", "--set", "x=1", *given)
+    assert first.exit_code == 0, first.stderr
+    rows = (folder / "day.csv").read_text(encoding="utf-8").splitlines()
+    assert (len(rows), rows[1], rows[-1].partition(",")[0]) == (26, "1900800.0,1.0", "1922400.0")
+    again = simulate("lag2.fmu", "--set", "x=1", "--compare", "day.csv")
+    assert again.exit_code == 0, again.output
+    assert "note: start = 1.9008e+06 s, as in day.csv" in again.stderr
+    for option in (("--start", "yesterday"), ("--step", "day 3")):
+        wrong = simulate("lag2.fmu", *option)
+        assert wrong.exit_code == 2
+        assert "must be a number of seconds, or a duration such as" in " ".join(wrong.stderr.split())
+
+
+def test_a_state_is_saved_and_gone_on_from(folder: Path) -> None:
+    """The rest of a divided run is, to the last digit, that of the whole one; the first half in a sandbox."""
+    keeping_fmu(folder, "2.0", "lag")
+    (folder / "u.csv").write_text("time,u\n0,0\n3,3\n", encoding="utf-8")
+    given = ("lag2.fmu", "--inputs", "u.csv", "--step", "0.1")
+    whole = simulate(*given, "--stop", "3", "--out", "whole.csv")
+    first = simulate(*given, "--stop", "1.7", "--save-state", "mid.state", "--sandbox")
+    assert (whole.exit_code, first.exit_code) == (0, 0), first.stderr
+    assert first.stdout.splitlines()[-1] == "mid.state"
+    rows = (folder / "whole.csv").read_text(encoding="utf-8").splitlines()
+    given = ("--inputs", "u.csv", "--load-state", "mid.state", "--stop", "3", "--out", "rest.csv")
+    second = simulate("lag2.fmu", *given)
+    assert second.exit_code == 0, second.output
+    assert "note: goes on at t = 1.7 s from a state" in second.stderr
+    rest = (folder / "rest.csv").read_text(encoding="utf-8").splitlines()
+    assert rest == [rows[0], *rows[18:]]
+
+
+def test_states_that_cannot_be_are_told_at_once(folder: Path) -> None:
+    keeping_fmu(folder, "2.0", "lag", ["GetAndSet"])
+    model_fmu(folder, "3.0", "lag")
+    (folder / "torn.state").write_bytes(b"{")
+    places = simulate("lag2.fmu", "--save-state", "lag2.fmu", "--load-state", "torn.state")
+    assert places.exit_code == 2
+    assert "--save-state lag2.fmu: this file is read; choose another one" in places.stderr
+    assert "torn.state: is not a state, or is damaged" in places.stderr
+    for fmu, lacking in (("lag2.fmu", "canSerializeFMUstate"), ("lag3.fmu", "canGetAndSetFMUstate")):
+        unable = simulate(fmu, "--save-state", "mid.state")
+        assert unable.exit_code == 2
+        assert f"the FMU cannot save its state as bytes ({lacking} is false)" in unable.stderr
+    assert not (folder / "mid.state").exists()
+
+
+def test_a_run_that_ends_early_leaves_no_state(folder: Path) -> None:
+    keeping_fmu(folder, "2.0", "lag", fault=Fault.SEGMENTATION_FAULT)
+    result = simulate("lag2.fmu", "--stop", "1", "--step", "0.1", "--save-state", "mid.state")
+    assert result.exit_code == 1
+    assert "--save-state mid.state: not written: there is nothing to go on from" in result.stderr
+    assert not (folder / "mid.state").exists()

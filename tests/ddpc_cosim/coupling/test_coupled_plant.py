@@ -448,3 +448,50 @@ def test_provenance_names_parts_and_files(exported: Exported) -> None:
     assert provenance["parts"] == "front, back"
     assert Path(provenance["front.fmu"]).name == "front.fmu"
     assert len(provenance["back.fmu_sha256"]) == 64
+
+
+# States as bytes
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"extrapolation": "linear"}, {"algorithm": "parallel"}, {"error_tolerance": 1e-4}]
+)
+def test_another_coupled_plant_goes_on_from_bytes(exported: Exported, options: dict[str, Any]) -> None:
+    """Also one whose signals are others: what it has in common goes on."""
+    forces = np.sin(np.arange(12.0))[:, np.newaxis]
+    with (
+        oscillator(halves(exported), **options) as first,
+        oscillator(halves(exported, back=True), **options) as second,
+        CoupledPlant(halves(exported), DISPLACEMENTS, inputs=[], **options) as third,
+    ):
+        first.reset()
+        last = [first.step(u, 0.1) for u in forces[:5]][-1]
+        content = first.serialise_state()
+        second.reset()
+        np.testing.assert_array_equal(second.deserialise_state(content), last)
+        assert second.time == first.time
+        third.reset()
+        third.deserialise_state(content)
+        held = third.step(np.empty(0), 0.1)
+        after = [first.step(u, 0.1) for u in forces[5:]]
+        np.testing.assert_array_equal([second.step(u, 0.1) for u in forces[5:]], after)
+        first.reset()
+        first.deserialise_state(content)
+        named = dict(zip((v.name for v in third.outputs), held, strict=True))
+        resting = first.step(forces[4], 0.1)
+        assert [named[v.name] for v in first.outputs] == pytest.approx(resting.tolist(), abs=1e-12)
+
+
+def test_parts_that_cannot_are_named_and_other_bytes_refused(exported: Exported) -> None:
+    with CoupledPlant({"first": lag(), "second": lag()}, CHAIN) as plant:
+        assert not plant.can_serialise_state
+        with pytest.raises(ConfigError) as caught:
+            plant.serialise_state()
+        assert [fault[:13] for fault in caught.value.faults] == ['part "first":', 'part "second"']
+    with oscillator(halves(exported)) as plant:
+        with pytest.raises(ConfigError, match="serialise_state before reset"):
+            plant.serialise_state()
+        plant.reset()
+        for content in (b"", b"[]", b'{"dict": {"_parts": 3}}'):
+            with pytest.raises(ConfigError, match="the state of the coupled plant is not one of this plant"):
+                plant.deserialise_state(content)

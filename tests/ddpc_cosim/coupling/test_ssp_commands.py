@@ -6,9 +6,10 @@ from pathlib import Path
 from subprocess import CompletedProcess
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from ddpc_cosim import ConfigError, CoupledPlant
+from ddpc_cosim import ConfigError, CoupledPlant, simulate
 from ddpc_cosim.cli.commands.inspect import inspect
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
@@ -134,3 +135,19 @@ def test_commands_of_something_else_say_so(command: str, words: str, car: Path, 
     done = run_program(command, str(car))
     assert done.returncode == 2
     assert words in done.stderr
+
+
+def test_a_coupled_plant_goes_on_from_a_state(car: Path, tmp_path: Path) -> None:
+    """Divided runs are whole ones to the last bit, and another input may be driven from there on."""
+    state = tmp_path / "mid.state"
+    road = pd.DataFrame({"time": [0.0, 2.0], "road": [0.0, 50.0]})
+    whole = simulate(car, inputs=road, stop=2, step=0.1)
+    simulate(car, inputs=road, stop=0.7, step=0.1, save_state=state)
+    rest = simulate(car, inputs=road, stop=2, load_state=state)
+    pd.testing.assert_frame_equal(rest, whole.iloc[7:].reset_index(drop=True), check_exact=True)
+    held = simulate(car, stop=4, load_state=state)
+    assert held["height [mm]"].iloc[0] == rest["height [mm]"].iloc[0]
+    assert held.attrs["notes"][1] == "not driven now, held as in the state: road = 15 mm"
+    constant = pd.DataFrame({"time": [0.7, 4.0], "road": [15.0, 15.0]})
+    driven = simulate(car, inputs=constant, stop=4, load_state=state)
+    np.testing.assert_allclose(held["height [mm]"], driven["height [mm]"], rtol=1e-12)

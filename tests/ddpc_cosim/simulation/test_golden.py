@@ -118,7 +118,11 @@ def test_files_that_cannot_be_compared_are_refused_with_the_names(text: str, wor
 @pytest.mark.parametrize(
     ("count", "step", "words"),
     [
-        (4, 0.5, "its times, 0 s to 1 s, are not those of the run, 0 s to 2 s; choose stop = 1"),
+        (
+            4,
+            0.5,
+            "its times, 0 s to 1 s, are not those of the run, 0 s to 2 s; choose start = 0 and stop = 1",
+        ),
         (1, 0.5, "are not those of the run, 0 s to 0.5 s"),
         (5, 0.2, "1 of its 5 times are between two samples of the run, every 0.2 s: 0.25"),
     ],

@@ -265,7 +265,8 @@ def test_arguments_of_wrong_types_are_named_all_at_once() -> None:
     wrong: dict[str, Any] = {
         "inputs": 3,
         "parameters": ["mass"],
-        "stop": "3",
+        "start": [1],
+        "stop": {3},
         "step": "x",
         "outputs": "y",
         "step_timeout": None,
@@ -279,3 +280,74 @@ def test_arguments_of_wrong_types_are_named_all_at_once() -> None:
     ] == expected
     with pytest.raises(ConfigError, match=r"outputs = \[1\] is not possible; needed: a list of names"):
         simulate("pendulum", outputs=[1])  # type: ignore[list-item]
+
+
+YEAR = '<DefaultExperiment startTime="0" stopTime="31536000" stepSize="3600"/>'
+
+
+def lag_of(folder: Path, version: str, experiment: str) -> Path:
+    return model_fmu(folder, version, "lag", head=experiment)
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0", "3.0"])
+def test_a_run_starts_where_it_is_told_on_the_axis_of_its_inputs(tmp_path: Path, version: str) -> None:
+    """Inputs of a year, of which a day in January is run: x' = rate (u - x), from rest at its start."""
+    day = 22 * 86400.0
+    table = csv(tmp_path, f"time [d];u\n0;0\n22;2\n{22 + 1 / 24};2\n365;0\n")
+    traced = tmp_path / "calls.txt"
+    frame = simulate(
+        lag_of(tmp_path, version, YEAR),
+        inputs=table,
+        parameters={"rate": 1e-3},
+        start="day 23",
+        stop=day + 3600,
+        step=600,
+        trace_calls=traced,
+    )
+    time = frame["time [s]"].to_numpy()
+    assert time == pytest.approx(day + 600.0 * np.arange(7), abs=1e-6)
+    assert frame["u [1]"].tolist() == [2.0] * 7
+    assert frame["x [1]"].to_numpy() == pytest.approx(2 * (1 - np.exp(-1e-3 * (time - day))), abs=1e-9)
+    set_up = {"1": "fmiInitializeSlave", "2": "fmi2SetupExperiment", "3": "fmi3EnterInitializationMode"}
+    (call,) = [line for line in traced.read_text().splitlines() if set_up[version[0]] in line]
+    assert "1900800.0" in call
+
+
+@pytest.mark.parametrize(
+    ("experiment", "asked", "expected", "note"),
+    [
+        ('startTime="2" stopTime="4"', {"start": 3}, (3.0, 4.0), ""),
+        ('startTime="2" stopTime="4"', {"start": 9}, (9.0, 11.0), "stop = 11 s: as long as the default"),
+        ('startTime="2" stopTime="4"', {"start": -1, "stop": 1}, (-1.0, 1.0), "before the plant's default"),
+        ('startTime="2"', {"start": 5}, (5.0, 15.0), "stop = 15 s, as the plant does not say"),
+        ('startTime="2" stopTime="4"', {}, (2.0, 4.0), ""),
+    ],
+)
+def test_what_is_chosen_with_another_start(
+    tmp_path: Path, experiment: str, asked: dict[str, Any], expected: tuple[float, float], note: str
+) -> None:
+    frame = simulate(lag_of(tmp_path, "2.0", f"<DefaultExperiment {experiment}/>"), step=0.5, **asked)
+    time = frame["time [s]"]
+    assert (time.iloc[0], time.iloc[-1]) == expected
+    assert note in "; ".join(frame.attrs["notes"])
+
+
+@pytest.mark.parametrize(
+    ("asked", "fault"),
+    [
+        ({"start": 2.0, "stop": 1.0}, "stop = 1 s is not possible; allowed: a number > 2, the start time"),
+        ({"start": float("nan")}, "start = nan s is not possible; allowed: a finite number"),
+        ({"start": "day 400"}, "start = 'day 400' is not possible: must be \"day 1\", which is 1 January"),
+        ({"stop": "soon"}, "stop = 'soon' is not possible: must be a number of seconds"),
+    ],
+)
+def test_impossible_moments_are_refused(tmp_path: Path, asked: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        simulate(lag_of(tmp_path, "2.0", YEAR), **asked)
+
+
+def test_inputs_that_do_not_reach_the_start_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="do not cover the run, 5 s to 9 s; choose another start or stop"):
+        simulate(
+            lag_of(tmp_path, "2.0", ""), inputs=csv(tmp_path, "time,u\n6,0\n9,0\n"), start=5, stop=9, step=1
+        )

@@ -236,10 +236,38 @@ def test_what_is_not_claimed_is_not_asked_for() -> None:
     results = {result.name: result for result in check_plant(Tank)}
     saved = results.pop("restores a saved state")
     now = results.pop("tells what depends on inputs at once")
-    assert saved.status is now.status is CheckStatus.NOT_APPLICABLE
+    as_bytes = results.pop("goes on from its state as bytes")
+    assert saved.status is now.status is as_bytes.status is CheckStatus.NOT_APPLICABLE
     assert {result.status for result in results.values()} == {CheckStatus.PASSED}
     remembers = {result.name: result.status for result in check_plant(GoodMemory)}
     assert remembers["restores a saved state"] is CheckStatus.PASSED
+
+
+class Portable(GoodMemory):
+    state_is_data = True
+
+
+class Elsewhere(Portable):
+    """Keeps its states itself, and hands out their numbers."""
+
+    def __init__(self) -> None:
+        self.kept: list[np.ndarray] = [np.full(1, 9.0)]
+
+    def save_state(self) -> object:
+        self.kept.append(self.x)
+        return len(self.kept) - 1
+
+    def restore_state(self, state: Any) -> None:
+        self.x = self.kept[min(state, len(self.kept) - 1)]
+
+
+def test_a_state_as_bytes_is_the_whole_state() -> None:
+    name = "goes on from its state as bytes"
+    for plant, expected in ((Portable, CheckStatus.PASSED), (Elsewhere, CheckStatus.FAILED)):
+        results = {result.name: result for result in check_plant(plant)}
+        assert results[name].status is expected, results[name].reason
+        assert results["restores a saved state"].status is CheckStatus.PASSED
+    assert results[name].reason.startswith("x differs in another instance, from its state as bytes")
 
 
 def ddpc_check(*arguments: object) -> Result:
