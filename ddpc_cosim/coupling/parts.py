@@ -65,8 +65,11 @@ class Part:
 
     def outputs_at(self, taken: FloatArray, time: float) -> FloatArray:
         """Return the outputs, shape (p,), at other inputs, without time passing."""
-        u = self.factor * taken + self.offset if self.is_scaled else taken
-        return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
+        return self._outputs("outputs_at", self.call("outputs_at", time, self.inputs_from(taken)), time)
+
+    def inputs_from(self, taken: FloatArray) -> FloatArray:
+        """Return the inputs, shape (m,), that follow from the values that are taken."""
+        return self.factor * taken + self.offset if self.is_scaled else taken
 
     def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:
         """Return the derivatives of outputs by the values that are taken, shape (p, m); None: not known."""
