@@ -8,9 +8,9 @@ input of any part changes any more. What integrates it is what integrates a sing
 """
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 from typing import Any, TypeVar, TypeVarTuple
 
 import numpy as np
@@ -62,7 +62,7 @@ class Monolith:
         self._counting: list[Part] = []
         self._clocks: list[tuple[Part, int]] = []
         self._due: dict[Part, list[int]] = {}
-        self._eventful = ""
+        self._eventful: tuple[float, Sequence[Part]] = nan, ()
         # Whether the parts have time and states, and whether what they exchange follows from these.
         self._is_placed = self._is_current = True
 
@@ -86,7 +86,7 @@ class Monolith:
         self._z = np.zeros(sum(size[1] for size in sizes.values()))
         clocks = [(part, clock) for part, plant in self._plants.items() for clock in plant.clocks]
         self._clocks = [(part, clock.reference) for part, clock in clocks]
-        self._run = self._named(
+        self._run = self._told(
             lambda: ModelExchangeRun(
                 self,
                 self,
@@ -115,12 +115,12 @@ class Monolith:
     def outputs_at(self, u: FloatArray) -> None:
         """Exchange what follows from other inputs u, shape (m,), of the system now."""
         run = self._running()
-        self._named(lambda: run.at_inputs(u, run.outputs))
+        self._told(lambda: run.at_inputs(u, run.outputs))
 
     def change(self, set_values: Callable[[], None]) -> None:
         """Set parameters or inputs that rest: an event."""
         run = self._running()
-        self._named(lambda: run.change(lambda _: set_values()))
+        self._told(lambda: run.change(lambda _: set_values()))
 
     def saved_run(self) -> object:
         """Return a copy of the state of the run."""
@@ -141,7 +141,7 @@ class Monolith:
             raise ConfigError("step before reset")
         return self._run
 
-    def _named(self, call: Callable[[], T]) -> T:
+    def _told(self, call: Callable[[], T]) -> T:
         """Return what a call returns; what is wrong with all parts as one is an error of the contract."""
         try:
             return call()
@@ -149,7 +149,10 @@ class Monolith:
             raise self._fault(error) from error
 
     def _fault(self, error: CallError) -> FMUStepError:
-        whose = self._eventful if "events at one instant" in str(error) else ""
+        when, eventful = self._eventful
+        whose = _named(eventful if when == self._time else self._plants) + ": "
+        if error.asks_to_terminate:  # which says whose
+            whose = ""
         return FMUStepError(f"{whose}{error} at t = {shown(self._time)}", error.status, self._time)
 
     # What the system is given, and what it gives
@@ -214,7 +217,7 @@ class Monolith:
         for part in self._counting:
             wants, ends = self._vector(part, 2, DrivenRun.complete_step, self._inputs(part))
             if ends:
-                raise termination(f'part "{part.name}": a completed integrator step', self._time)
+                raise termination(f"{_named([part])}: a completed integrator step", self._time)
             if wants:
                 eventful.append(part)
         self._note_events(eventful)
@@ -250,10 +253,11 @@ class Monolith:
                 taken[part] = self._exchange.values[part.sources]
                 infos[part] = self._updated(part, infos.get(part))
                 self._exchange.refresh(self._time, [part])
-        names = ", ".join(f'"{part.name}"' for part in changed)
-        raise CallError(
-            f"the events of parts {names} change the inputs of each other more than {_MOST_ROUNDS} times at "
-            "one instant"
+        raise FMUStepError(
+            f"{_named(changed)}: events change the inputs of each other more than {_MOST_ROUNDS} times at "
+            f"t = {shown(self._time)}",
+            StepStatus.ERROR,
+            self._time,
         )
 
     def enter_continuous_time_mode(self) -> None:
@@ -304,18 +308,29 @@ class Monolith:
         """Update the discrete states of a part; return what that left behind, with what was before."""
         info = self._vector(part, 4, DrivenRun.update, self._inputs(part), self._due.pop(part, []))
         if info[0]:
-            raise termination(f'part "{part.name}": an event', self._time)
+            raise termination(f"{_named([part])}: an event", self._time)
         if before is not None:
             info[1:3] = np.maximum(info[1:3], before[1:3])
         return info
 
     def _derivatives(self, part: Part, size: int) -> FloatArray:
-        return self._vector(part, size, DrivenRun.derivatives, self._inputs(part))
+        """Return the derivatives of a part's states; what is not finite may be with a smaller step."""
+        dx = self._vector(part, size, DrivenRun.derivatives, self._inputs(part))
+        if not np.isfinite(dx).all():
+            place = int(np.argmin(np.isfinite(dx)))
+            states = self._plants[part].description.state_order
+            name = states[place] if len(states) == size else f"state {place + 1}"
+            raise FMUStepError(
+                f"{_named([part])}: the derivative of {name} is {dx[place]:g} at t = {shown(self._time)}",
+                StepStatus.DISCARD,
+                self._time,
+            )
+        return dx
 
     def _note_events(self, parts: Sequence[Part]) -> None:
         """Remember which parts have asked for an event, or for another one at once."""
         if parts:
-            self._eventful = ", ".join(f'part "{part.name}"' for part in parts) + ": "
+            self._eventful = self._time, parts
 
     def _gather(
         self, into: FloatArray, rows: Mapping[Part, slice], of: Callable[[Part, int], FloatArray]
@@ -335,13 +350,18 @@ class Monolith:
         """Return a vector of a part, of the size that it must have: one number would be taken for all."""
         vector = self._call(part, method, *arguments)
         if len(vector) != size:
-            message = f'part "{part.name}": {method.__name__} returned {len(vector)} numbers, not {size}'
+            message = f"{_named([part])}: {method.__name__} returned {len(vector)} numbers, not {size}"
             raise FMUStepError(message, StepStatus.CRASHED, self._time)
         return vector
 
     def _call(self, part: Part, method: Callable[[DrivenRun, *Arguments], T], *arguments: *Arguments) -> T:
         result: T = part.call("drive", self._time, method, *arguments)
         return result
+
+
+def _named(parts: Iterable[Part]) -> str:
+    quoted = [f'"{part.name}"' for part in parts]
+    return f"{'part' if len(quoted) == 1 else 'parts'} {', '.join(quoted)}"
 
 
 def _stacked(sizes: Mapping[Part, int]) -> dict[Part, slice]:
@@ -365,7 +385,7 @@ def driven_plants(parts: Mapping[str, Plant], wiring: Wiring) -> dict[str, FMUPl
     for name, plant in parts.items():
         try:
             if not isinstance(plant, FMUPlant):
-                raise ConfigError(f"{type(plant).__name__} is not an FMU for Model Exchange")
+                raise ConfigError("it is not an FMU")
             plant.become_driven()
             driven[name] = plant
         except CosimError as error:

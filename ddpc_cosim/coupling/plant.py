@@ -235,6 +235,7 @@ class CoupledPlant(Plant):
             An FMU cannot be loaded.
         """
         system = read_ssp(Path(path))
+        is_monolithic = options.get("algorithm") == "monolithic"
         for key, exposed in (("inputs", system.inputs), ("outputs", system.outputs)):
             options.setdefault(key, names(exposed) or None)
         values = {f"{p.name}.{key}": value for p in system.parts for key, value in p.parameters.items()}
@@ -246,7 +247,7 @@ class CoupledPlant(Plant):
                         part.fmu,
                         inputs=part.inputs,
                         outputs=part.outputs,
-                        fmi_type=part.fmi_type,
+                        fmi_type="auto" if is_monolithic else part.fmi_type,
                         start=part.start,
                         isolated=isolated,
                     )

@@ -147,7 +147,8 @@ class ModelExchangeRun(FMURun):
                 self._event(t, clocks=self._ticks.take(t) if tick <= t else ())
             at_once = at_once + 1 if t == before else 0
             if at_once > _MOST_EVENTS_AT_ONCE:
-                raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} events at one instant")
+                what = "events" if event else "steps of the integrator"
+                raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} {what} at one instant")
 
     def _advance(self, target: float) -> tuple[float, bool]:
         """Do one integrator step towards a time; return where it ended, and whether an event is due there."""

@@ -133,14 +133,15 @@ def simulate(
     step_timeout: float = DEFAULT_STEP_TIMEOUT,
     trace_calls: str | Path | None = None,
     sandbox: bool = False,
+    coupling: Mapping[str, Any] | None = None,
 ) -> "pd.DataFrame":
     """Simulate a plant in open loop, in a process of its own.
 
     Parameters
     ----------
     plant : str or Path
-        An FMU, an SSP archive, whose parts exchange values once a step, the name of a plant, or
-        ``module:attribute``.
+        An FMU, an SSP archive, whose parts exchange values once a step if ``coupling`` does not say
+        otherwise, the name of a plant, or ``module:attribute``.
     inputs : DataFrame, str or Path, optional
         Signals of inputs: a frame or a CSV file with a column ``time`` (or a frame's index), and one
         for each input to drive, its unit in brackets if it is not the plant's own. Real inputs that are
@@ -160,6 +161,9 @@ def simulate(
         File that every FMI call is written to.
     sandbox : bool
         Whether it runs in a sandbox, as of :class:`FMUPlant`.
+    coupling : mapping of str to float or str, optional
+        How the parts of an SSP archive are coupled: the keys of ``plant.coupling`` in a study file, such as
+        ``{"algorithm": "monolithic"}``.
 
     Returns
     -------
@@ -200,6 +204,7 @@ def simulate(
             ("step", step, isinstance(step, Real | None), "a number of seconds"),
             ("outputs", outputs, _are_names(outputs), 'a list of names, such as ["y"]'),
             ("step_timeout", step_timeout, isinstance(step_timeout, Real), "a number of seconds"),
+            ("coupling", coupling, isinstance(coupling, Mapping | None), "a mapping of names to values"),
             ("trace_calls", trace_calls, isinstance(trace_calls, str | Path | None), "the name of a file"),
         )
         if not fits
@@ -216,6 +221,7 @@ def simulate(
         fmi_type=fmi_type,
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
+        coupling=coupling or {},
     )
     with demanded(sandbox):
         prepared = prepare(request)

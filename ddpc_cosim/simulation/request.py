@@ -46,6 +46,7 @@ class SimulationRequest(NamedTuple):
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     trace_calls: str = ""
     golden: CSVFile | None = None
+    coupling: Mapping[str, Any] = {}
 
 
 class Prepared(NamedTuple):
@@ -223,6 +224,10 @@ def _subject(request: SimulationRequest) -> _Subject:
         given = next(key for key, value in of_fmus.items() if value)
         raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
     named: dict[str, Any] = {what: request.plant}
+    if request.coupling:
+        if what != "ssp":
+            raise ConfigError(f"coupling: {request.plant} is one plant; it is for systems of several (SSP)")
+        named["coupling"] = dict(request.coupling)
     section = read(PlantSection, named | {"fmi_type": request.fmi_type})
     spec = PlantSpec.of(section, Path.cwd()).built()
     label = path.name if is_file else request.plant

@@ -64,6 +64,13 @@ def simulate(
         None, "Write every FMI call with its arguments, status and results.", metavar="FILE"
     ),
     sandbox: bool = options.SANDBOX,
+    couplings: tuple[str, ...] = option(
+        (),
+        "How the parts of an SSP are coupled, as in [plant.coupling] of a study (`algorithm=monolithic`); "
+        "may be repeated.",
+        name="--coupling",
+        metavar="KEY=VALUE",
+    ),
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     from ddpc_cosim.files.csv_files import CSVFile
@@ -73,8 +80,13 @@ def simulate(
         read = [Path(plant), *(path for path in (inputs, golden) if path is not None)]
         faults = [fault for path in out if (fault := _impossible(path, read))]
         files, given = dict[str, CSVFile | None](), dict[str, str]()
+        coupling = dict[str, float | str]()
         try:
             given = assignments("--set", values, str)
+        except ConfigError as error:
+            faults += error.faults
+        try:
+            coupling = assignments("--coupling", couplings, _number_or_text)
         except ConfigError as error:
             faults += error.faults
         for name, path in (("inputs", inputs), ("compare", golden)):
@@ -95,6 +107,7 @@ def simulate(
             step_timeout=step_timeout,
             trace_calls=str(trace_calls or ""),
             golden=files["compare"],
+            coupling=coupling,
         )
         return _simulate(request, out, rel, sandbox=sandbox)
     except KeyboardInterrupt as asked:  # no cases are kept, of which something could be said
@@ -136,6 +149,13 @@ def _simulate(request: "SimulationRequest", out: Sequence[Path], rel: float, *, 
         raise simulation.interrupted_by
     differs = difference is not None and not difference.agrees
     return 1 if simulation.failed or differs else 0
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _impossible(path: Path, read: Sequence[Path]) -> str:

@@ -12,6 +12,7 @@ from fmus.builder import (
     LAG,
     RELAY,
     STAIR,
+    Fault,
     describe,
     model_library,
     with_time,
@@ -22,6 +23,7 @@ from scipy.linalg import expm
 
 from ddpc_cosim import ConfigError, Connection, CoupledPlant, FMUPlant, FMUStepError, StepStatus
 from ddpc_cosim.fmu import integrators
+from ddpc_cosim.testing import PlantConformance
 from ddpc_cosim.variables import FloatArray
 from fmu_plants import Equations, PlantModel, Variable
 
@@ -39,12 +41,14 @@ Eventful = Callable[..., FMUPlant]
 def eventful(tmp_path: Path) -> Eventful:
     """Open one of the models with events, for Model Exchange only."""
 
-    def opened(model: str, version: str = "2.0", **options: Any) -> FMUPlant:
+    def opened(model: str, version: str = "2.0", fault: Fault = Fault.NO_FAULT, **options: Any) -> FMUPlant:
         wants_steps = ' needsCompletedIntegratorStep="true"' if version == "3.0" else ""
         interfaces = f'<ModelExchange modelIdentifier="models"{wants_steps}/>'
+        token = f"{model}:{int(fault)}" if fault else model
         variables = with_time(version, EVENTFUL[model])
-        text = describe(version, model, variables, interfaces=interfaces, indicators=int(model == "ball"))
-        path = write_fmu(tmp_path / f"{model}{version[0]}.fmu", text, model_library(version, complete=True))
+        text = describe(version, token, variables, interfaces=interfaces, indicators=int(model == "ball"))
+        path = tmp_path / f"{token.replace(':', '_')}{version[0]}.fmu"
+        write_fmu(path, text, model_library(version, complete=True))
         return FMUPlant(path, **options)
 
     return opened
@@ -289,6 +293,150 @@ def test_a_loop_with_events_is_what_another_solver_finds(eventful: Eventful) -> 
     np.testing.assert_allclose(run(plant, [[]] * 15, 0.1)[1:], rows, rtol=0.0, atol=EXACT)
 
 
+# A plant as any other
+
+
+def test_parameters_and_inputs_that_rest_change_during_a_run(eventful: Eventful) -> None:
+    """Of x' = r (u - x) and y' = 2 x - y, r and u change at t = 1: all as formulas have it."""
+    parts = {"first": eventful("lag"), "second": eventful("lag")}
+    link = [Connection("first.x", "second.u", factor=2.0)]
+    with monolithic(parts, link, inputs=[], outputs=["first.x", "second.x"]) as plant:
+        plant.reset({"first.u": 1.0})
+        plant.step(np.empty(0), 1.0)
+        plant.set_parameters({"first.rate": 3.0, "first.u": -1.5})
+        y = plant.step(np.empty(0), 0.5)
+    changing = [
+        np.array([[-r, 0.0, r * u], [2.0, -1.0, 0.0], [0.0] * 3]) for r, u in ((1.0, 1.0), (3.0, -1.5))
+    ]
+    state = expm(0.5 * changing[1]) @ expm(changing[0]) @ np.array([0.0, 0.0, 1.0])
+    assert y == pytest.approx(state[:2], abs=EXACT)
+
+
+def test_outputs_at_other_inputs_are_those_of_all_parts(exported: Exported) -> None:
+    parts = {
+        "p": FMUPlant(exported(linear("p", -1.0, 0.5, 1.0))),
+        "q": FMUPlant(exported(linear("s", -1.0, 0.0, 2.0))),
+    }
+    with monolithic(parts, [Connection("p.y", "q.u")]) as plant:
+        plant.reset()
+        assert plant.dependencies == {"p.y": {"p.u"}, "q.y": {"p.u"}}
+        assert plant.outputs_at(np.array([3.0])) == pytest.approx([4.0, 9.0])
+        y = plant.step(np.zeros(1), 1.0)
+        assert y == pytest.approx([np.exp(-1.0), 3.0 * np.exp(-1.0)], abs=EXACT)
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["", "isolated"])
+def test_a_state_is_that_of_all_parts_and_of_the_whole(exported: Exported, isolated: bool) -> None:
+    models, links = CUTS["forces"]
+    parts = {
+        n: FMUPlant(exported(m), isolated=isolated) for n, m in zip(("front", "back"), models, strict=True)
+    }
+    forces = np.array([2.0, -1.0, 3.0, 0.0])
+    whole = exact(forces.tolist(), 0.1)
+    with monolithic(parts, links, inputs=["front.force"], outputs=OUTPUTS) as plant:
+        assert plant.can_save_state
+        plant.reset()
+        plant.step(forces[:1], 0.1)
+        state = plant.save_state()
+        for _ in range(2):
+            for k in range(1, 4):
+                assert plant.step(forces[k : k + 1], 0.1) == pytest.approx(whole[k + 1], abs=EXACT)
+            plant.restore_state(state)
+            assert plant.time == 0.1
+        old = plant.save_state()
+        plant.reset()
+        with pytest.raises(ConfigError, match="not one of this run"):
+            plant.restore_state(old)
+
+
+class TestContract(PlantConformance):
+    @pytest.fixture
+    def make_plant(self, exported: Exported) -> Any:
+        models, links = CUTS["forces"]
+
+        def make() -> CoupledPlant:
+            parts = {n: FMUPlant(exported(m)) for n, m in zip(("front", "back"), models, strict=True)}
+            return monolithic(parts, links, inputs=["front.force"], outputs=OUTPUTS)
+
+        return make
+
+
+# Faults
+
+
+@pytest.mark.parametrize(
+    ("fault", "words", "status"),
+    [
+        (Fault.RETURN_ERROR, r"lag_.*fmi2GetDerivatives returned error .*division by zero", StepStatus.ERROR),
+        (Fault.RETURN_FATAL, r"lag_.*fmi2GetDerivatives returned fatal", StepStatus.FATAL),
+        (Fault.RETURN_DISCARD, r"lag_.*fmi2GetDerivatives returned discard", StepStatus.DISCARD),
+        (Fault.RETURN_NAN, r"the derivative of x is nan at t = 0\.5", StepStatus.DISCARD),
+        (Fault.ERROR_WHEN_READ, r"lag_.*fmi2GetReal returned error", StepStatus.ERROR),
+    ],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_a_part_that_fails_ends_the_run_with_its_name(
+    eventful: Eventful, fault: Fault, words: str, status: StepStatus
+) -> None:
+    parts = {"sound": eventful("lag"), "broken": eventful("lag", fault=fault)}
+    with monolithic(parts, [Connection("sound.x", "broken.u")]) as plant:
+        plant.reset()
+        with pytest.raises(FMUStepError, match=rf'^part "broken": {words}') as caught:
+            run_on(plant)
+        assert caught.value.status is status
+        assert caught.value.time == pytest.approx(0.55, abs=0.05 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("fault", "options", "status"),
+    [
+        (Fault.SEGMENTATION_FAULT, {}, StepStatus.CRASHED),
+        (Fault.HANG_IN_STEP, {"step_timeout": 1.0}, StepStatus.TIMED_OUT),
+    ],
+)
+def test_a_part_in_another_process_may_crash_or_hang(
+    eventful: Eventful, fault: Fault, options: dict[str, Any], status: StepStatus
+) -> None:
+    parts = {"sound": eventful("lag"), "broken": eventful("lag", fault=fault, isolated=True, **options)}
+    with monolithic(parts, [Connection("sound.x", "broken.u")]) as plant:
+        plant.reset()
+        with pytest.raises(FMUStepError, match=r'^part "broken": lag_') as caught:
+            run_on(plant)
+        assert caught.value.status is status
+
+
+def test_events_without_an_end_have_the_name_of_their_part(eventful: Eventful) -> None:
+    parts = {"sound": eventful("lag"), "broken": eventful("stair", fault=Fault.EVENTS_WITHOUT_END)}
+    with monolithic(parts, [Connection("broken.count", "sound.u")]) as plant:
+        plant.reset()
+        with pytest.raises(
+            FMUStepError, match=r'^part "broken": more than 1000 events at one instant at t = 1 s'
+        ):
+            run_on(plant, 20)
+
+
+def test_an_equation_that_cannot_be_integrated_is_told(exported: Exported) -> None:
+    """Of x' = x y and y' = x y, with x = y = 1 / (1 - t), there is no value at t = 1."""
+    model = PlantModel(
+        name="explosion",
+        states=(Variable("x", start=1.0),),
+        inputs=(Variable("u"),),
+        outputs=(Variable("x", start=1.0),),
+        equations=lambda s: Equations({"x": s.x * s.u}),
+    )
+    parts = {n: FMUPlant(exported(model)) for n in "pq"}
+    with monolithic(parts, [Connection("p.x", "q.u"), Connection("q.x", "p.u")]) as plant:
+        plant.reset()
+        with pytest.raises(FMUStepError, match=r'^parts "p", "q": more than 1000 steps of the int') as caught:
+            run_on(plant, 20)
+        assert caught.value.status is StepStatus.ERROR
+
+
+def run_on(plant: CoupledPlant, steps: int = 10) -> None:
+    for _ in range(steps):
+        plant.step(np.zeros(len(plant.inputs)), 0.1)
+
+
 # What cannot be
 
 
@@ -312,7 +460,7 @@ def test_parts_that_are_no_differential_equations_are_refused_all_at_once(
     for fault, words in zip(
         caught.value.faults,
         (
-            'part "python": LinearPlant is not an FMU for Model Exchange',
+            'part "python": it is not an FMU',
             'part "steps": steps.fmu is for Co-Simulation only',
             'part "chosen": chosen.fmu is opened with fmi_type = "co-simulation"',
         ),
