@@ -69,14 +69,13 @@ class Monolith:
     # Runs
 
     def start(self, t0: float) -> None:
-        """Begin a run at a time [s] with parts that have been reset: they settle together.
+        """Begin a run at a time [s] with parts that have been reset, after :meth:`end`: they settle together.
 
         Raises
         ------
         FMUStepError
             They do not, or one of them fails.
         """
-        self.end()
         self._time, self._is_placed, self._is_current, self._due = t0, True, False, {}
         sizes = {part: self._vector(part, 3, DrivenRun.sizes).astype(int).tolist() for part in self._plants}
         self._states = _stacked({part: size[0] for part, size in sizes.items()})
@@ -98,6 +97,8 @@ class Monolith:
                 clocks=[replace(clock, reference=i) for i, (_, clock) in enumerate(clocks)],
             )
         )
+        # An integration without an end consists of short calls.
+        self._let_calls_count(within=True)
 
     def step(self, u: FloatArray, h: float) -> FMUStepError | None:
         """Hold the system's inputs u, shape (m,), over h [s]; return what a part says that ends there."""
@@ -135,6 +136,11 @@ class Monolith:
         if self._run is not None:
             self._run.end()
             self._run = None
+        self._let_calls_count(within=False)
+
+    def _let_calls_count(self, *, within: bool) -> None:
+        for part in self._plants:
+            part.is_within = within
 
     def _running(self) -> ModelExchangeRun:
         if self._run is None:

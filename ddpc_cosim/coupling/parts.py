@@ -39,6 +39,8 @@ class Part:
         What is announced of a step.
     is_scaled : bool
         Whether its inputs are other numbers than the values that it takes.
+    is_within : bool
+        Whether its calls are within one that may not take longer as a whole than a call may.
     """
 
     def __init__(self, name: str, plant: Plant, input_map: AffineMap, output_slice: slice) -> None:
@@ -49,6 +51,7 @@ class Part:
         self.size = len(plant.outputs)
         self.is_scaled = input_map.is_scaled
         self.every, self.substeps = 1, 1
+        self.is_within = False
 
     def step(self, taken: FloatArray, h: float, time: float) -> FloatArray:
         """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
@@ -86,7 +89,7 @@ class Part:
 
     def call(self, method: str, time: float, *arguments: Any) -> Any:
         """Call a method of the plant at a time [s]."""
-        announce_call_of_plant(f'{method} of part "{self.name}"', time)
+        announce_call_of_plant(f'{method} of part "{self.name}"', time, is_within=self.is_within)
         try:
             return getattr(self.plant, method)(*arguments)
         except (Exception, SystemExit) as error:

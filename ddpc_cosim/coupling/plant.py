@@ -280,6 +280,8 @@ class CoupledPlant(Plant):
         self._base_time, self._samples = t0, 0
         if self._control is not None:
             self._control.halvings = 0
+        if self._monolith is not None:
+            self._monolith.end()
         exchange = self._exchange
         exchange.reset(t0)
         for place, value in resting.items():

@@ -13,6 +13,7 @@ from fmus.builder import (
     RELAY,
     STAIR,
     Fault,
+    V,
     describe,
     model_library,
     with_time,
@@ -22,6 +23,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from ddpc_cosim import ConfigError, Connection, CoupledPlant, FMUPlant, FMUStepError, StepStatus
+from ddpc_cosim.coupling import monolith
 from ddpc_cosim.fmu import integrators
 from ddpc_cosim.testing import PlantConformance
 from ddpc_cosim.variables import FloatArray
@@ -291,6 +293,61 @@ def test_a_loop_with_events_is_what_another_solver_finds(eventful: Eventful) -> 
     assert hits == 2
     plant = monolithic(parts, links, outputs=["ball.h", "lag.x"])
     np.testing.assert_allclose(run(plant, [[]] * 15, 0.1)[1:], rows, rtol=0.0, atol=EXACT)
+
+
+def test_discrete_inputs_follow_discrete_outputs_at_events(tmp_path: Path, eventful: Eventful) -> None:
+    """A lag whose input changes at events only follows the stair's seconds; one that moves is refused."""
+    variables = (V("u", 0, causality="input", variability="discrete", start="0"), *LAG[1:])
+    interfaces = '<ModelExchange modelIdentifier="models"/>'
+    path = tmp_path / "discrete.fmu"
+    write_fmu(
+        path, describe("2.0", "lag", variables, interfaces=interfaces), model_library("2.0", complete=True)
+    )
+    parts = {"lag": FMUPlant(path), "stair": eventful("stair")}
+    with monolithic(parts, [Connection("stair.count", "lag.u")], outputs=["lag.x"]) as plant:
+        plant.reset()
+        rows = [float(plant.step(np.zeros(1), 0.5)[0]) for _ in range(7)]
+    times = np.arange(1, 8) * 0.5
+    x = [sum(1.0 - np.exp(k - t) for k in range(1, 4) if k <= t) for t in times]
+    assert rows == pytest.approx(x, abs=EXACT)
+    with pytest.raises(ConfigError, match=r'"lag.u" changes at events only, and follows "moves.x", which'):
+        monolithic({"lag": FMUPlant(path), "moves": eventful("lag")}, [Connection("moves.x", "lag.u")])
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["", "isolated"])
+def test_clocks_tick_with_the_inputs_of_their_instant(
+    tmp_path: Path, eventful: Eventful, isolated: bool
+) -> None:
+    """A sample-and-hold of a lag that goes to 1, every 0.25 s, between the samples of the whole."""
+    tick = V(
+        "tick",
+        14,
+        "Clock",
+        causality="input",
+        variability="discrete",
+        more={"intervalVariability": "constant", "intervalDecimal": "0.25"},
+    )
+    held = V("held", 1, causality="output", variability="discrete")
+    interfaces = '<ModelExchange modelIdentifier="models"/>'
+    text = describe("3.0", "clocked", with_time("3.0", [LAG[0], held, tick]), interfaces=interfaces)
+    path = write_fmu(tmp_path / "hold.fmu", text, model_library("3.0"))
+    parts = {"lag": eventful("lag", "3.0"), "hold": FMUPlant(path, isolated=isolated)}
+    with monolithic(parts, [Connection("lag.x", "hold.u")], outputs=["hold.held"]) as plant:
+        plant.reset()
+        rows = [float(plant.step(np.ones(1), 0.1)[0]) for _ in range(10)]
+    # A tick at a sample comes with the inputs that begin there.
+    ticks = [0.25 * int((k - 1e-6) * 0.1 / 0.25) for k in range(1, 11)]
+    assert rows == pytest.approx([1.0 - np.exp(-tick) for tick in ticks], abs=EXACT)
+
+
+def test_events_that_do_not_settle_are_told(eventful: Eventful, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(monolith, "_MOST_ROUNDS", 1)
+    parts = {"a": eventful("lag"), "b": eventful("stair")}
+    with (
+        monolithic(parts, []) as plant,
+        pytest.raises(FMUStepError, match=r'^parts "a", "b": events change the inputs of each other'),
+    ):
+        plant.reset()
 
 
 # A plant as any other
