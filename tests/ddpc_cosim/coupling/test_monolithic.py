@@ -19,6 +19,7 @@ from fmus.builder import (
     with_time,
     write_fmu,
 )
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -27,7 +28,7 @@ from ddpc_cosim.coupling import monolith
 from ddpc_cosim.fmu import integrators
 from ddpc_cosim.testing import PlantConformance
 from ddpc_cosim.variables import FloatArray
-from fmu_plants import Equations, PlantModel, Variable
+from fmu_plants import Equations, Parameter, PlantModel, Variable
 
 from .conftest import Exported
 from .linear import lag
@@ -147,6 +148,49 @@ def test_an_algebraic_loop_is_solved_within_the_equation(exported: Exported, gai
     rows = run(plant, [[]] * 3, 0.5)
     whole = np.array([outputs @ expm(0.5 * i * matrix) @ np.ones(2) for i in range(4)])
     np.testing.assert_allclose(rows, whole, rtol=0.0, atol=EXACT * np.abs(whole).max())
+
+
+ANY = PlantModel(
+    name="any",
+    states=(Variable("x", start=1.0),),
+    inputs=(Variable("u"), Variable("v")),
+    outputs=(Variable("y"),),
+    parameters=tuple(Parameter(name) for name in "abd"),
+    equations=lambda s: Equations({"x": s.a * s.x + s.b * (s.u + s.v)}, {"y": s.x + s.d * (s.u + s.v)}),
+)
+
+
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**32 - 1))
+def test_random_linear_fmus_are_the_linear_system_that_they_are(exported: Exported, seed: int) -> None:
+    """Of x' = a x + b w, y = x + d w and w = G y: x' = (a + b G (I - d G)^-1) x, and y = (I - d G)^-1 x."""
+    rng = np.random.default_rng(seed)
+    a, b, d = rng.uniform(-3.0, 0.5, 3), rng.uniform(-1.0, 1.0, 3), rng.uniform(-0.8, 0.8, 3)
+    gains = rng.uniform(-1.0, 1.0, (3, 3)) * (1.0 - np.eye(3))
+    loop = np.eye(3) - np.diag(d) @ gains
+    assume(np.linalg.cond(loop) < 20.0)
+    whole = np.diag(a) + np.diag(b) @ gains @ np.linalg.inv(loop)
+    links = [
+        Connection(f"{'pqr'[j]}.y", f"{'pqr'[i]}.{'uv'[k]}", factor=gains[i, j])
+        for i in range(3)
+        for k, j in enumerate(j for j in range(3) if j != i)
+    ]
+    parameters = {
+        f"{part}.{name}": float(values[i])
+        for name, values in (("a", a), ("b", b), ("d", d))
+        for i, part in enumerate("pqr")
+    }
+    parts = {name: FMUPlant(exported(ANY)) for name in "pqr"}
+    rows = run(monolithic(parts, links, parameters=parameters), [[]] * 3, 0.4)
+    y = np.array([np.linalg.solve(loop, expm(0.4 * k * whole) @ np.ones(3)) for k in range(4)])
+    np.testing.assert_allclose(rows, y, rtol=0.0, atol=EXACT * max(1.0, np.abs(y).max()))
+
+
+def test_parts_without_states_go_from_event_to_event(eventful: Eventful) -> None:
+    parts = {"a": eventful("stair"), "b": eventful("stair")}
+    link = [Connection("a.count", "b.u")]
+    rows = run(monolithic(parts, link, inputs=[], outputs=["a.count", "b.count"]), [[]] * 7, 0.5)
+    assert rows.tolist() == [[k // 2, k // 2] for k in range(8)]
 
 
 def test_units_and_factors_of_connections_are_inside_the_equation(exported: Exported) -> None:
