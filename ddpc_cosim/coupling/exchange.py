@@ -125,15 +125,18 @@ class Exchange:
 
     def set_inputs(self, u: FloatArray, time: float) -> None:
         """Set the system's inputs, shape (m,), at a time [s]; update what depends on them without delay."""
-        driven = self._driven
-        if len(u) != self._inputs:
-            raise ConfigError(f"u has {len(u)} numbers; needed: {self._inputs}")
         if not self._after_inputs:
-            driven[:] = u
-        elif (driven != u).any():
-            driven[:] = u
+            self.hold(u)
+        elif len(u) != self._inputs or (self._driven != u).any():
+            self.hold(u)
             for update in self._after_inputs:
                 update.do(time)
+
+    def hold(self, u: FloatArray) -> None:
+        """Hold the system's inputs u, shape (m,), from now on."""
+        if len(u) != self._inputs:
+            raise ConfigError(f"u has {len(u)} numbers; needed: {self._inputs}")
+        self._driven[:] = u
 
     @property
     def advance_once(self) -> Callable[[float, float], FMUStepError | None]:

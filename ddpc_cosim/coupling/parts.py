@@ -39,6 +39,8 @@ class Part:
         What is announced of a step.
     is_scaled : bool
         Whether its inputs are other numbers than the values that it takes.
+    is_within : bool
+        Whether its calls are within one that may not take longer as a whole than a call may.
     """
 
     def __init__(self, name: str, plant: Plant, input_map: AffineMap, output_slice: slice) -> None:
@@ -49,6 +51,7 @@ class Part:
         self.size = len(plant.outputs)
         self.is_scaled = input_map.is_scaled
         self.every, self.substeps = 1, 1
+        self.is_within = False
 
     def step(self, taken: FloatArray, h: float, time: float) -> FloatArray:
         """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
@@ -65,8 +68,11 @@ class Part:
 
     def outputs_at(self, taken: FloatArray, time: float) -> FloatArray:
         """Return the outputs, shape (p,), at other inputs, without time passing."""
-        u = self.factor * taken + self.offset if self.is_scaled else taken
-        return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
+        return self._outputs("outputs_at", self.call("outputs_at", time, self.inputs_from(taken)), time)
+
+    def inputs_from(self, taken: FloatArray) -> FloatArray:
+        """Return the inputs, shape (m,), that follow from the values that are taken."""
+        return self.factor * taken + self.offset if self.is_scaled else taken
 
     def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:
         """Return the derivatives of outputs by the values that are taken, shape (p, m); None: not known."""
@@ -83,7 +89,7 @@ class Part:
 
     def call(self, method: str, time: float, *arguments: Any) -> Any:
         """Call a method of the plant at a time [s]."""
-        announce_call_of_plant(f'{method} of part "{self.name}"', time)
+        announce_call_of_plant(f'{method} of part "{self.name}"', time, is_within=self.is_within)
         try:
             return getattr(self.plant, method)(*arguments)
         except (Exception, SystemExit) as error:

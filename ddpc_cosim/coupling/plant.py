@@ -11,6 +11,7 @@ import numpy as np
 from ddpc_cosim.coupling.error_control import ErrorControl
 from ddpc_cosim.coupling.exchange import Exchange
 from ddpc_cosim.coupling.graph import Graph
+from ddpc_cosim.coupling.monolith import NOT_AS_BYTES, Monolith, driven_plants
 from ddpc_cosim.coupling.parts import Part
 from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.coupling.wiring import Connection, Wiring
@@ -22,9 +23,11 @@ from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
-Algorithm = Literal["sequential", "parallel"]
+Algorithm = Literal["sequential", "parallel", "monolithic"]
 Extrapolation = Literal["hold", "linear"]
 _WHOLE = 1e-6
+# So much of coupled FMUs is exact that it does not tell into which parts they were cut.
+_TOLERANCE = 1e-10
 
 
 class _SavedState(NamedTuple):
@@ -52,7 +55,9 @@ class CoupledPlant(Plant):
         named rests at its start value.
     algorithm : str
         ``"sequential"``: a part has the newest values of those before it (Gauss-Seidel); ``"parallel"``:
-        all have the values at the beginning of the step (Jacobi).
+        all have the values at the beginning of the step (Jacobi); ``"monolithic"``: the parts, FMUs that are
+        all for Model Exchange, are one differential equation, which is integrated as that of one FMU is:
+        nothing is exchanged in steps.
     communication_step : float, optional
         Time between two exchanges [s], of which the sampling time is a multiple; default: the sampling time.
     steps : mapping of str to float, optional
@@ -65,7 +70,8 @@ class CoupledPlant(Plant):
     error_tolerance : float, optional
         Error that one sample may add to a value, relative to nominal or present values, as it is estimated:
         communication steps are repeated in halves, and halves of them, until it is kept (Richardson). All
-        parts must be able to save their states.
+        parts must be able to save their states. If monolithic: the relative tolerance of the integration
+        (1e-12 to 1e-2), 1e-10 by default.
     connectors : sequence of Variable
         Names, units and start values of the system's own connectors.
     parameters : mapping of str to float, int, bool or str, optional
@@ -133,7 +139,19 @@ class CoupledPlant(Plant):
         faults += [
             f'steps: no part "{name}"; {did_you_mean(name, parts)}' for name in steps if name not in parts
         ]
-        if error_tolerance is not None:
+        is_monolithic = algorithm == "monolithic"
+        if is_monolithic:
+            needless = {
+                "communication_step": communication_step is not None,
+                "steps": bool(steps),
+                "extrapolation": extrapolation == "linear",
+            }
+            faults += [
+                f'{name}: leave it out, as with algorithm = "monolithic" nothing is exchanged in steps'
+                for name, is_given in needless.items()
+                if is_given
+            ]
+        elif error_tolerance is not None:
             faults += [
                 f'error_tolerance: a step cannot be repeated, as part "{name}" cannot save its state'
                 for name, plant in parts.items()
@@ -154,6 +172,7 @@ class CoupledPlant(Plant):
         ]
         if faults:
             raise ConfigError(faults)
+        driven = driven_plants(parts, wiring) if is_monolithic else {}
         self.inputs, self.outputs = wiring.inputs, wiring.outputs
         self.order, self.loops = graph.order, graph.loops
         self.dependencies = graph.dependencies()
@@ -161,18 +180,26 @@ class CoupledPlant(Plant):
         self._read = None if wiring.output_map.is_scaled else wiring.output_map.sources
         self._parts = {n: Part(n, parts[n], wiring.input_maps[n], wiring.slices[n]) for n in graph.order}
         self._communication_step, self._steps = communication_step, steps
-        self._how = f"{algorithm}, {extrapolation}"
+        self._how = algorithm if is_monolithic else f"{algorithm}, {extrapolation}"
         self._exchange = Exchange(
             tuple(self._parts.values()),
             wiring,
             graph,
-            sequential=algorithm == "sequential",
+            sequential=algorithm != "parallel",
             linear=extrapolation == "linear",
             loop_tolerance=loop_tolerance,
         )
         self._parameters = dict(parameters or {})
+        self._monolith: Monolith | None = None
         self._control: ErrorControl | None = None
-        if error_tolerance is not None:
+        if is_monolithic:
+            self._monolith = Monolith(
+                {part: driven[name] for name, part in self._parts.items()},
+                self._exchange,
+                wiring.scale,
+                error_tolerance or _TOLERANCE,
+            )
+        elif error_tolerance is not None:
             order = 2 if extrapolation == "linear" else 1
             taken = [input_map.sources for input_map in (*wiring.input_maps.values(), wiring.output_map)]
             watched = np.unique(np.concatenate(taken))
@@ -209,6 +236,7 @@ class CoupledPlant(Plant):
             An FMU cannot be loaded.
         """
         system = read_ssp(Path(path))
+        is_monolithic = options.get("algorithm") == "monolithic"
         for key, exposed in (("inputs", system.inputs), ("outputs", system.outputs)):
             options.setdefault(key, names(exposed) or None)
         values = {f"{p.name}.{key}": value for p in system.parts for key, value in p.parameters.items()}
@@ -220,7 +248,7 @@ class CoupledPlant(Plant):
                         part.fmu,
                         inputs=part.inputs,
                         outputs=part.outputs,
-                        fmi_type=part.fmi_type,
+                        fmi_type="auto" if is_monolithic else part.fmi_type,
                         start=part.start,
                         isolated=isolated,
                     )
@@ -253,13 +281,18 @@ class CoupledPlant(Plant):
         self._base_time, self._samples = t0, 0
         if self._control is not None:
             self._control.halvings = 0
+        if self._monolith is not None:
+            self._monolith.end()
         exchange = self._exchange
         exchange.reset(t0)
         for place, value in resting.items():
             exchange.values[place] = value
         for name, part in self._parts.items():
             exchange.values[part.output_slice] = part.reset(by_part.get(name, {}), t0)
-        exchange.refresh(t0)
+        if self._monolith is not None:
+            self._monolith.start(t0)
+        else:
+            exchange.refresh(t0)
         self._end_error = None
         return self._current_outputs()
 
@@ -267,9 +300,12 @@ class CoupledPlant(Plant):
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         if h != self._h or self._end_error is not None:
             self._get_ready(h)
-        time = self._base_time + self._samples * h
-        self._exchange.set_inputs(u, time)
-        self._end_error = self._advance(self._interval, time)
+        if self._monolith is not None:
+            self._end_error = self._monolith.step(u, h)
+        else:
+            time = self._base_time + self._samples * h
+            self._exchange.set_inputs(u, time)
+            self._end_error = self._advance(self._interval, time)
         self._samples += 1
         return self._exchange.values[self._read] if self._read is not None else self._current_outputs()
 
@@ -283,16 +319,26 @@ class CoupledPlant(Plant):
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, ``"part.name"``, and inputs that rest, from the next step on."""
         by_part, resting = self._by_part(parameters)
-        for place, value in resting.items():
-            self._exchange.values[place] = value
-        for name, chosen in by_part.items():
-            self._parts[name].call("set_parameters", self.time, chosen)
+
+        def set_values() -> None:
+            for place, value in resting.items():
+                self._exchange.values[place] = value
+            for name, chosen in by_part.items():
+                self._parts[name].call("set_parameters", self.time, chosen)
+
+        if self._monolith is not None:
+            self._monolith.change(set_values)
+            return
+        set_values()
         self._exchange.refresh(self.time, map(self._parts.__getitem__, by_part))
 
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""
-        self._exchange.values[: len(self.inputs)] = u
-        self._exchange.refresh(self.time)
+        if self._monolith is not None:
+            self._monolith.outputs_at(u)
+        else:
+            self._exchange.values[: len(self.inputs)] = u
+            self._exchange.refresh(self.time)
         return self._current_outputs()
 
     @property
@@ -304,7 +350,9 @@ class CoupledPlant(Plant):
         """Return a copy of the states of all parts and of what they exchange."""
         halvings = 0 if self._control is None else self._control.halvings
         return _SavedState(
-            [part.call("save_state", self.time) for part in self._parts.values()],
+            [part.call("save_state", self.time) for part in self._parts.values()]
+            if self._monolith is None
+            else [self._monolith.saved_run()],
             self._exchange.memory.copy(),
             (self._base_time, self._samples, self._h),
             halvings,
@@ -313,10 +361,14 @@ class CoupledPlant(Plant):
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state."""
-        if not isinstance(state, _SavedState) or len(state.parts) != len(self._parts):
+        whole, parts = self._monolith, self._parts.values()
+        if not isinstance(state, _SavedState) or len(state.parts) != (len(parts) if whole is None else 1):
             raise ConfigError("the state to restore is not one of this coupled plant")
-        for part, saved in zip(self._parts.values(), state.parts, strict=True):
-            part.call("restore_state", self.time, saved)
+        if whole is not None:
+            whole.restore_run(state.parts[0])
+        else:
+            for part, saved in zip(parts, state.parts, strict=True):
+                part.call("restore_state", self.time, saved)
         self._exchange.memory[:] = state.memory
         self._base_time, self._samples, h = state.time
         if h != self._h:
@@ -328,10 +380,13 @@ class CoupledPlant(Plant):
     @property
     def can_serialise_state(self) -> bool:
         """Whether the states of all parts can be saved as bytes."""
-        return all(part.plant.can_serialise_state for part in self._parts.values())
+        parts = self._parts.values()
+        return self._monolith is None and all(part.plant.can_serialise_state for part in parts)
 
     def serialise_state(self) -> bytes:
         """Return the states of all parts and what they exchange as bytes."""
+        if self._monolith is not None:
+            raise ConfigError(NOT_AS_BYTES)
         states, faults = dict[str, bytes](), list[str]()
         for name, part in self._parts.items():
             try:
@@ -354,6 +409,8 @@ class CoupledPlant(Plant):
 
     def deserialise_state(self, content: bytes) -> FloatArray:
         """Go on from the state of another run of the same parts; return the outputs there, shape (p,)."""
+        if self._monolith is not None:
+            raise ConfigError(NOT_AS_BYTES)
         exchange = self._exchange
         with understood("the state of the coupled plant"):
             saved = from_bytes(content)
@@ -378,6 +435,8 @@ class CoupledPlant(Plant):
         """Close all parts, also if some cannot."""
         self._end_error = ConfigError("step after close")
         first: Exception | None = None
+        if self._monolith is not None:
+            self._monolith.end()
         for part in self._parts.values():
             try:
                 part.call("close", self.time)

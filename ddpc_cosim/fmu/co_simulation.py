@@ -6,7 +6,7 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
-from ddpc_cosim.fmu.instance import Instance, Slave
+from ddpc_cosim.fmu.instance import Slave
 from ddpc_cosim.fmu.run import FMURun, T
 from ddpc_cosim.variables import FloatArray
 
@@ -72,7 +72,7 @@ class CoSimulationRun(FMURun):
             self._write_inputs(u)
         return read()
 
-    def change(self, set_values: Callable[[Instance], None]) -> None:
+    def change(self, set_values: Callable[[Any], None]) -> None:
         """Set parameters or inputs between two samples, in event mode where it is used."""
         if self._slave.uses_event_mode:
             self._slave.in_event_mode(lambda: set_values(self._slave))

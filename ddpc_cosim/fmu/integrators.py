@@ -13,8 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ddpc_cosim.fmu.instance import Model
-from ddpc_cosim.fmu.status import DISCARD, CallError
+from ddpc_cosim.errors import FMUStepError, StepStatus
+from ddpc_cosim.fmu.instance import DoubleArray
+from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
 
 try:
@@ -22,6 +23,28 @@ try:
     from fmpy.sundials.libraries import sundials_core, sundials_cvode
 except (OSError, AttributeError, ImportError):  # not for every platform
     sundials = None
+
+
+class ContinuousModel(Protocol):
+    """What is integrated: an FMU, or several as one. Vectors are ctypes arrays, or pointers to doubles."""
+
+    def set_time(self, time: float) -> None:
+        """Set the independent variable [s]."""
+
+    def get_states(self, x: DoubleArray, n: int) -> None:
+        """Read the continuous states."""
+
+    def set_states(self, x: DoubleArray, n: int) -> None:
+        """Write the continuous states."""
+
+    def get_derivatives(self, dx: DoubleArray, n: int) -> None:
+        """Read the derivatives of the continuous states."""
+
+    def get_nominals(self, x: DoubleArray, n: int) -> None:
+        """Read the nominal values of the continuous states; zeros where they are not known."""
+
+    def get_event_indicators(self, z: DoubleArray, n: int) -> None:
+        """Read the event indicators."""
 
 
 class Integrator(Protocol):
@@ -44,14 +67,23 @@ class Integrator(Protocol):
         ------
         CallError
             The model failed, or the integrator did.
+        FMUStepError
+            One of several models that are one failed.
         """
 
     def close(self) -> object:
         """Free the memory of the integrator."""
 
 
-def make_integrator(model: Model, states: int, event_indicators: int, tolerance: float) -> Integrator:
+# Between these limits an integrator meets its tolerance.
+_TOLERANCES = (1e-12, 1e-2)
+
+
+def make_integrator(
+    model: ContinuousModel, states: int, event_indicators: int, tolerance: float
+) -> Integrator:
     """Return CVode where FMPy ships it, else SciPy's BDF; nothing is integrated if nothing is continuous."""
+    tolerance = min(max(tolerance, _TOLERANCES[0]), _TOLERANCES[1])
     if states == 0 and event_indicators == 0:
         return NoIntegrator(model)
     if has_cvode():
@@ -67,7 +99,7 @@ def has_cvode() -> bool:
 class NoIntegrator:
     """For models without continuous states and event indicators: time jumps from event to event."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: ContinuousModel) -> None:
         self._model = model
 
     def restart(self, t: float, *, nominals_changed: bool = False) -> None:
@@ -121,17 +153,17 @@ class CVodeIntegrator:
 
     Parameters
     ----------
-    model : Model
-        The FMU, in continuous-time mode.
+    model : ContinuousModel
+        The model, in continuous-time mode.
     states, event_indicators : int
         Their numbers.
     tolerance : float
         Relative tolerance.
     """
 
-    def __init__(self, model: Model, states: int, event_indicators: int, tolerance: float) -> None:
+    def __init__(self, model: ContinuousModel, states: int, event_indicators: int, tolerance: float) -> None:
         self._model, self._nx, self._nz, self._tolerance = model, states, event_indicators, tolerance
-        self._failure: CallError | None = None
+        self._failure: BaseException | None = None
         self._message = ""
         size = max(states, 1)
         context = c_void_p()
@@ -213,7 +245,7 @@ class CVodeIntegrator:
                 return 0
             self._model.set_states(_data(x), self._nx)
             self._model.get_derivatives(_data(dx), self._nx)
-        except CallError as error:
+        except BaseException as error:
             return self._failed(error)
         return 0
 
@@ -223,14 +255,15 @@ class CVodeIntegrator:
             if self._nx:
                 self._model.set_states(_data(x), self._nx)
             self._model.get_event_indicators(z, self._nz)
-        except CallError as error:
+        except BaseException as error:
             return self._failed(error)
         return 0
 
-    def _failed(self, error: CallError) -> int:
-        """Keep the FMU's error; what it has discarded may succeed with a smaller step."""
+    def _failed(self, error: BaseException) -> int:
+        """Keep an error, which does not cross C; what an FMU discards may succeed with a smaller step."""
         self._failure = error
-        return _RECOVERABLE if error.code == DISCARD else _UNRECOVERABLE
+        is_discarded = isinstance(error, CallError | FMUStepError) and error.status is StepStatus.DISCARD
+        return _RECOVERABLE if is_discarded else _UNRECOVERABLE
 
     def _on_error(self, _line: int, _function: bytes, _file: bytes, message: bytes, *_: Any) -> None:
         self._message = (message or b"").decode("utf-8", "replace").strip()
@@ -258,15 +291,15 @@ class ScipyIntegrator:
 
     Parameters
     ----------
-    model : Model
-        The FMU, in continuous-time mode.
+    model : ContinuousModel
+        The model, in continuous-time mode.
     states, event_indicators : int
         Their numbers.
     tolerance : float
         Relative tolerance.
     """
 
-    def __init__(self, model: Model, states: int, event_indicators: int, tolerance: float) -> None:
+    def __init__(self, model: ContinuousModel, states: int, event_indicators: int, tolerance: float) -> None:
         self._model, self._nx, self._nz, self._tolerance = model, states, event_indicators, tolerance
         from scipy.integrate import BDF  # takes long to import, and is seldom needed
 

@@ -7,19 +7,40 @@ the integrator goes from event to event: state events (a sign change of an event
 
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock
-from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
-from ddpc_cosim.fmu.integrators import make_integrator
-from ddpc_cosim.fmu.run import FMURun, T
+from ddpc_cosim.fmu.instance import EventInfo
+from ddpc_cosim.fmu.integrators import ContinuousModel, make_integrator
+from ddpc_cosim.fmu.run import FMURun, Readable, Restorable, T, Written
 from ddpc_cosim.fmu.status import CallError, termination
 from ddpc_cosim.variables import FloatArray
 
 _MOST_EVENTS_AT_ONCE = 1000
+
+
+class HybridModel(ContinuousModel, Restorable, Protocol):
+    """What is integrated from event to event: an FMU, or several as one."""
+
+    def sizes(self) -> tuple[int, int]:
+        """Return the numbers of continuous states and of event indicators."""
+
+    def enter_event_mode(self) -> None:
+        """Go from continuous-time mode to event mode."""
+
+    def activate_clocks(self, references: Sequence[int]) -> None:
+        """Let input clocks tick, in event mode."""
+
+    def update_discrete_states(self) -> EventInfo:
+        """Iterate over events until the discrete states have settled."""
+
+    def enter_continuous_time_mode(self) -> None:
+        """Go from event mode to continuous-time mode."""
+
+    def completed_integrator_step(self) -> tuple[bool, bool]:
+        """Tell the end of an integrator step; return whether it wants an event, and to terminate."""
 
 
 class ModelExchangeRun(FMURun):
@@ -27,9 +48,9 @@ class ModelExchangeRun(FMURun):
 
     Parameters
     ----------
-    model : Model
-        The instance, after its initialisation: in event mode.
-    inputs, outputs : Port
+    model : HybridModel
+        The model, after its initialisation: in event mode.
+    inputs, outputs : Written and Readable
         What is written before and read after every sample.
     t0 : float
         Start time [s].
@@ -45,9 +66,9 @@ class ModelExchangeRun(FMURun):
 
     def __init__(
         self,
-        model: Model,
-        inputs: Port,
-        outputs: Port,
+        model: HybridModel,
+        inputs: Written,
+        outputs: Readable,
         t0: float,
         *,
         tolerance: float,
@@ -56,7 +77,7 @@ class ModelExchangeRun(FMURun):
         clocks: Sequence[Clock] = (),
     ) -> None:
         super().__init__(model, inputs, outputs, t0, clocks)
-        self.model = model
+        self._model = model
         self._needs_completed_step = needs_completed_step
         self._has_discrete_inputs = has_discrete_inputs
         self._held: FloatArray | None = None
@@ -95,9 +116,9 @@ class ModelExchangeRun(FMURun):
             if self._held is not None:
                 self._write(self._held)
 
-    def change(self, set_values: Callable[[Instance], None]) -> None:
+    def change(self, set_values: Callable[[Any], None]) -> None:
         """Set parameters or inputs between two samples: an event."""
-        self._event(self.time, lambda: set_values(self.model))
+        self._event(self.time, lambda: set_values(self._model))
 
     def end(self, *, abandoned: bool = False) -> None:
         """Free all saved states and the integrator."""
@@ -129,13 +150,14 @@ class ModelExchangeRun(FMURun):
                 self._event(t, clocks=self._ticks.take(t) if tick <= t else ())
             at_once = at_once + 1 if t == before else 0
             if at_once > _MOST_EVENTS_AT_ONCE:
-                raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} events at one instant")
+                what = "events" if event else "steps of the integrator"
+                raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} {what} at one instant")
 
     def _advance(self, target: float) -> tuple[float, bool]:
         """Do one integrator step towards a time; return where it ended, and whether an event is due there."""
         t, event = self._integrator.advance(target)
         if self._needs_completed_step:
-            wanted, end = self.model.completed_integrator_step()
+            wanted, end = self._model.completed_integrator_step()
             if end:
                 raise termination("a completed integrator step", t)
             event = event or wanted
@@ -143,20 +165,20 @@ class ModelExchangeRun(FMURun):
 
     def _event(self, t: float, change: Callable[[], None] | None = None, clocks: Sequence[int] = ()) -> None:
         """Handle an event at a time, at which inputs or parameters may change and clocks tick."""
-        self.model.set_time(t)
-        self.model.enter_event_mode()
+        self._model.set_time(t)
+        self._model.enter_event_mode()
         if change is not None:
             change()
         if clocks:
-            self.model.activate_clocks(clocks)
+            self._model.activate_clocks(clocks)
         info = self._settle(t)
         self._integrator.restart(t, nominals_changed=info.nominals_changed)
 
     def _settle(self, t: float) -> EventInfo:
         """Let the discrete states settle and go on to continuous time."""
-        info = self.model.update_discrete_states()
+        info = self._model.update_discrete_states()
         if info.terminate:
             raise termination("an event", t)
         self._next_event = inf if info.next_event is None else info.next_event
-        self.model.enter_continuous_time_mode()
+        self._model.enter_continuous_time_mode()
         return info

@@ -4,9 +4,11 @@ import hashlib
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from numbers import Real
 from pathlib import Path
+from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -15,7 +17,8 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.archive import UnpackLimits
-from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
+from ddpc_cosim.fmu.description import Clock, FMUDescription, direct_dependencies, is_sampled
+from ddpc_cosim.fmu.driven import DrivenRun
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
@@ -26,6 +29,8 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
 
+T = TypeVar("T")
+Arguments = TypeVarTuple("Arguments")
 _KIND = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}
 _DEFAULTS = UnpackLimits()
 _STOP_MARGIN = 1e-3
@@ -221,14 +226,18 @@ class FMUPlant(Plant):
             fmu = self._fmu
             if not self._may_fall_back or fmu.interface.kind == "model-exchange" or not fmu.is_for_both:
                 raise
-            self._session.end()
             with demanded(self._sandboxed):
-                self._fmu = for_model_exchange(fmu)
+                self._reopen(for_model_exchange(fmu))
             reason = str(error).removeprefix(f"{fmu.label}: ")
             self._warnings = (*self.warnings, f"runs for Model Exchange: {reason}")
-            self._session = self._open(self._fmu)
-            self._step = self._session.step
             return self._session.call(FMUSession.reset, *arguments)
+
+    def _reopen(self, fmu: UnpackedFMU) -> None:
+        """Go over to the FMU as it is to run from the next reset on."""
+        self._session.end()
+        self._fmu = fmu
+        self._session = self._open(fmu)
+        self._step = self._session.step
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -245,6 +254,43 @@ class FMUPlant(Plant):
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the FMU's derivatives of outputs by inputs at u, shape (p, m); None if it tells none."""
         return self._session.call(FMUSession.feedthrough, np.array(u, dtype=np.float64))
+
+    def become_driven(self) -> None:
+        """Run for Model Exchange from the next reset on, integrated together with other FMUs.
+
+        Steps are not its own then: what follows from time, states and inputs is asked for by :meth:`drive`.
+
+        Raises
+        ------
+        ConfigError
+            The FMU is not for Model Exchange, or opened for Co-Simulation.
+        FMUImportError
+            It has no library for Model Exchange.
+        """
+        fmu = self._fmu
+        if fmu.interface.kind != "model-exchange":
+            if not fmu.is_for_both:
+                raise ConfigError(f"{fmu.label} is for Co-Simulation only")
+            if not self._may_fall_back:
+                raise ConfigError(f'{fmu.label} is opened with fmi_type = "co-simulation"')
+            with demanded(self._sandboxed):
+                fmu = for_model_exchange(fmu)
+        self._reopen(replace(fmu, is_driven=True))
+
+    def drive(self, method: Callable[[DrivenRun, *Arguments], T], *arguments: *Arguments) -> T:
+        """Call a method of the run, where the FMU is integrated together with others."""
+        return self._session.call(FMUSession.drive, method, *arguments)
+
+    @property
+    def clocks(self) -> tuple[Clock, ...]:
+        """The clocks that tick as the FMU is run."""
+        return self.description.ticking_clocks(self._fmu.interface)
+
+    @property
+    def discrete_inputs(self) -> frozenset[str]:
+        """Names of the inputs that change at events only."""
+        discrete = (s for s in self._fmu.inputs if s.source.variability == "discrete")
+        return frozenset(signal.variable.name for signal in discrete)
 
     @property
     def can_linearise(self) -> bool:

@@ -5,17 +5,48 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock
-from ddpc_cosim.fmu.instance import Instance
 from ddpc_cosim.variables import FloatArray
 
 T = TypeVar("T")
+
+
+class Restorable(Protocol):
+    """What runs: an instance of an FMU, or several as one."""
+
+    def save_state(self) -> Any:
+        """Return a copy of its state."""
+
+    def restore_state(self, state: Any) -> None:
+        """Go back to a state."""
+
+    def free_state(self, state: Any) -> None:
+        """Free a state."""
+
+    def serialise(self, state: Any) -> bytes:
+        """Return a state as bytes."""
+
+    def deserialise(self, content: bytes) -> Any:
+        """Return a state of bytes."""
+
+
+class Written(Protocol):
+    """Numbers that are written together."""
+
+    def write(self, u: FloatArray) -> None:
+        """Write the numbers u, shape (m,)."""
+
+
+class Readable(Protocol):
+    """Numbers that are read together."""
+
+    def read(self) -> FloatArray:
+        """Read the numbers into a new array, shape (p,)."""
 
 
 class SavedState:
@@ -94,9 +125,9 @@ class FMURun(ABC):
 
     Parameters
     ----------
-    instance : Instance
-        The instance, after its initialisation.
-    inputs, outputs : Port
+    instance : Restorable
+        What runs, after its initialisation.
+    inputs, outputs : Written and Readable
         What is written before and read after every step.
     t0 : float
         Start time [s].
@@ -105,7 +136,12 @@ class FMURun(ABC):
     """
 
     def __init__(
-        self, instance: Instance, inputs: Port, outputs: Port, t0: float, clocks: Sequence[Clock] = ()
+        self,
+        instance: Restorable,
+        inputs: Written,
+        outputs: Readable,
+        t0: float,
+        clocks: Sequence[Clock] = (),
     ) -> None:
         self.instance = instance
         self._ticks = Ticks(clocks, t0)
@@ -153,8 +189,8 @@ class FMURun(ABC):
         self._write(u)
         return read()
 
-    def change(self, set_values: Callable[[Instance], None]) -> None:
-        """Set parameters or inputs between two samples."""
+    def change(self, set_values: Callable[[Any], None]) -> None:
+        """Set parameters or inputs of what runs between two samples."""
         set_values(self.instance)
 
     def save_state(self) -> SavedState:

@@ -25,6 +25,7 @@ from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
 from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
 from ddpc_cosim.fmu.description.reader import read_description
+from ddpc_cosim.fmu.driven import DrivenRun
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
 from ddpc_cosim.fmu.fmi3 import Fmi3Model, Fmi3Slave
@@ -50,8 +51,6 @@ Arguments = TypeVarTuple("Arguments")
 _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
-# Between these limits an integrator of Model Exchange meets its tolerance.
-_TOLERANCES = (1e-12, 1e-2)
 _ONE_INSTANT = 1e-6  # of a step: where an FMU says that it ended, rounded in its own way
 
 _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary()
@@ -81,6 +80,8 @@ class UnpackedFMU:
         None: none.
     start : mapping of str to float
         Start values of inputs, driven or not, in place of the FMU's own.
+    is_driven : bool
+        Whether its runs are integrated together with those of other FMUs.
     """
 
     label: str
@@ -92,6 +93,7 @@ class UnpackedFMU:
     warnings: tuple[str, ...]
     tolerance: float | None
     start: Mapping[str, float] = field(default_factory=dict)
+    is_driven: bool = False
 
     @property
     def is_for_both(self) -> bool:
@@ -252,7 +254,7 @@ class FMUSession:
         inputs = Port(instance, fmu.inputs, values.shapes)
         outputs = Port(instance, fmu.outputs, values.shapes)
         inputs.fetch()
-        self._run = _start_run(fmu, instance, inputs, outputs, t0)
+        self._run = _start_run(fmu, instance, inputs, outputs, values.shapes, t0)
         values.check_taken(instance)
         return self._run.outputs()
 
@@ -294,7 +296,7 @@ class FMUSession:
 
     def linearise(self, u: FloatArray | None, derivatives: Derivatives) -> LinearModel:
         """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on."""
-        run, fmu = self._started("linearise"), self.fmu
+        run, fmu, model = self._started("linearise"), self.fmu, self._instance
         faults = linearisation_faults(fmu.description, fmu.inputs, fmu.outputs)
         if not faults and not isinstance(run, ModelExchangeRun):
             faults = ['the FMU runs for Co-Simulation; open it with fmi_type = "model-exchange"']
@@ -302,15 +304,15 @@ class FMUSession:
             faults.append(f'derivatives = "{derivatives}" is not possible; allowed: {", ".join(DERIVATIVES)}')
         if u is not None and np.shape(u) != (len(fmu.inputs),):
             faults.append(f"u has shape {np.shape(u)}; needed: {len(fmu.inputs)} numbers")
-        if faults or not isinstance(run, ModelExchangeRun):
+        if faults or not isinstance(run, ModelExchangeRun) or not isinstance(model, Model):
             raise ConfigError([f"{fmu.label}: {fault}" for fault in faults])
-        has_derivatives = has_directional_derivatives(run.model, fmu.description, self._shapes)
+        has_derivatives = has_directional_derivatives(model, fmu.description, self._shapes)
         if derivatives == "directional" and not has_derivatives:
             raise ConfigError(f"{fmu.label}: the FMU has no directional derivatives; differences do without")
         if u is not None:
             run.hold(u)
         return linearise(
-            run.model,
+            model,
             fmu.inputs,
             fmu.outputs,
             self._shapes,
@@ -325,18 +327,28 @@ class FMUSession:
 
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the derivatives of the outputs by the inputs, shape (p, m), at u; None: not known."""
-        run, fmu = self._started("feedthrough"), self.fmu
+        run, fmu, instance = self._started("feedthrough"), self.fmu, self._instance
         declared = all(s.source.causality == "output" and s.source.values == "real" for s in fmu.outputs)
-        has_them = fmu.interface.provides_directional_derivatives and run.instance.has_directional_derivatives
-        if not (declared and has_them and all(s.source.variability == "continuous" for s in fmu.inputs)):
+        continuous = all(signal.source.variability == "continuous" for signal in fmu.inputs)
+        tells = fmu.interface.provides_directional_derivatives
+        if instance is None or not (
+            declared and continuous and tells and instance.has_directional_derivatives
+        ):
             return None
-        arguments = run.instance, fmu.outputs, fmu.inputs, self._shapes
+        arguments = instance, fmu.outputs, fmu.inputs, self._shapes
         try:
             return run.at_inputs(u, lambda: directional_derivatives(*arguments))
         except CallError as error:
             if error.code == FATAL:
                 raise
             return None
+
+    def drive(self, method: Callable[[DrivenRun, *Arguments], T], *arguments: *Arguments) -> T:
+        """Call a method of the run of an FMU that is driven."""
+        run = self._started("drive")
+        if not isinstance(run, DrivenRun):
+            raise ConfigError(f"{self.fmu.label}: it is not integrated together with others")
+        return method(run, *arguments)
 
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` of the same run."""
@@ -491,7 +503,9 @@ def _make_slave(fmu: UnpackedFMU) -> Slave:
         return make(fmu.source, event_mode=True)
 
 
-def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, t0: float) -> FMURun:
+def _start_run(
+    fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, shapes: Shapes, t0: float
+) -> FMURun:
     """Return the run of an instance that has been initialised."""
     clocks = fmu.description.ticking_clocks(fmu.interface)
     if isinstance(instance, Slave):
@@ -499,14 +513,20 @@ def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port
         return CoSimulationRun(instance, inputs, outputs, t0, steps.change, clocks)
     if not isinstance(instance, Model):
         raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
-    low, high = _TOLERANCES
     needs_completed_step = fmu.interface.needs_completed_step or fmu.description.major == 1
+    if fmu.is_driven:
+        places = [i for i, signal in enumerate(fmu.inputs) if signal.source.variability != "discrete"]
+        continuous = Port(instance, [fmu.inputs[i] for i in places], shapes)
+        continuous.fetch()
+        return DrivenRun(
+            instance, inputs, outputs, (continuous, places), t0, needs_completed_step=needs_completed_step
+        )
     return ModelExchangeRun(
         instance,
         inputs,
         outputs,
         t0,
-        tolerance=min(max(fmu.tolerance or _DEFAULT_TOLERANCE, low), high),
+        tolerance=fmu.tolerance or _DEFAULT_TOLERANCE,
         needs_completed_step=needs_completed_step,
         has_discrete_inputs=any(signal.source.variability == "discrete" for signal in fmu.inputs),
         clocks=clocks,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from queue import Empty, SimpleQueue
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +60,19 @@ class NotFiniteError(Exception):
 
 
 T = TypeVar("T")
-Announce = Callable[[str, str, float], None]
-"""Called when a call begins, with ``"plant"`` or ``"controller"``, the method and the time of the run [s];
-and when it has returned, with empty names."""
 
 
-def _announce_to_no_one(who: str, call: str, time: float) -> None:
+class Announce(Protocol):
+    """Called when a call begins: of the ``"plant"`` or ``"controller"``, the method, the time of the run [s].
+
+    And when it has returned, with empty names. ``is_within``: it is within another one, whose time counts on.
+    """
+
+    def __call__(self, who: str, name: str, time: float, *, is_within: bool = False) -> None:
+        """Announce a call."""
+
+
+def _announce_to_no_one(who: str, name: str, time: float, *, is_within: bool = False) -> None:
     """Do nothing."""
 
 
@@ -86,9 +93,12 @@ def calls_are_watched() -> bool:
     return _announce is not _announce_to_no_one
 
 
-def announce_call_of_plant(call: str, time: float) -> None:
-    """Announce what a plant is in at a time of the run [s], where its call consists of several."""
-    _announce("plant", call, time)
+def announce_call_of_plant(call: str, time: float, *, is_within: bool = False) -> None:
+    """Announce what a plant is in at a time of the run [s], where its call consists of several.
+
+    Each may take as long as any call, unless it is within one that may not take longer as a whole.
+    """
+    _announce("plant", call, time, is_within=is_within)
 
 
 def make_plant(make: Callable[[], Plant]) -> Plant:

@@ -153,11 +153,14 @@ class RowStore:
         who, _, name = bytes(self._call).rstrip(b"\0").decode("utf-8", "replace").partition(" ")
         return Call(self._numbers_of[_CALLS], who, name, self._times[_TIME])
 
-    def announce(self, who: str, name: str, time: float) -> None:
-        """Note the call that begins; an empty one: that the last one has ended."""
+    def announce(self, who: str, name: str, time: float, *, is_within: bool = False) -> None:
+        """Note the call that begins; an empty one: that the last one has ended.
+
+        One that is within another only gives it another name: how long it takes counts on.
+        """
         self._call[:] = _call_as_bytes(who, name)
         self._times[_TIME] = time
-        self._numbers_of[_CALLS] += 1
+        self._numbers_of[_CALLS] += not is_within
 
     def begin(self, k: int, y: FloatArray, measured: FloatArray) -> None:
         """Begin row k, whose controller has not decided yet."""

@@ -143,14 +143,15 @@ def simulate(
     sandbox: bool = False,
     save_state: str | Path | None = None,
     load_state: str | Path | None = None,
+    coupling: Mapping[str, Any] | None = None,
 ) -> "pd.DataFrame":
     """Simulate a plant in open loop, in a process of its own.
 
     Parameters
     ----------
     plant : str or Path
-        An FMU, an SSP archive, whose parts exchange values once a step, the name of a plant, or
-        ``module:attribute``.
+        An FMU, an SSP archive, whose parts exchange values once a step if ``coupling`` does not say
+        otherwise, the name of a plant, or ``module:attribute``.
     inputs : DataFrame, str or Path, optional
         Signals of inputs: a frame or a CSV file with a column ``time`` (or a frame's index), and one
         for each input to drive, its unit in brackets if it is not the plant's own. Real inputs that are
@@ -179,6 +180,9 @@ def simulate(
     load_state : str or Path, optional
         Such a file, of this very plant: the run begins at its time, with its parameters and its step, and
         ``parameters`` may only change what is tunable.
+    coupling : mapping of str to float or str, optional
+        How the parts of an SSP archive are coupled: the keys of ``plant.coupling`` in a study file, such as
+        ``{"algorithm": "monolithic"}``.
 
     Returns
     -------
@@ -230,6 +234,7 @@ def simulate(
                     ("load_state", load_state),
                 )
             ),
+            ("coupling", coupling, isinstance(coupling, Mapping | None), "a mapping of names to values"),
         )
         if not fits
     ]
@@ -254,6 +259,7 @@ def simulate(
         trace_calls=str(trace_calls or ""),
         resumed=None if load_state is None else PlantState.read(Path(load_state)),
         keeps_state=save_state is not None,
+        coupling=coupling or {},
     )
     with demanded(sandbox):
         prepared = prepare(request)

@@ -53,6 +53,7 @@ class SimulationRequest(NamedTuple):
     golden: CSVFile | None = None
     resumed: PlantState | None = None
     keeps_state: bool = False
+    coupling: Mapping[str, Any] = {}
 
 
 class Prepared(NamedTuple):
@@ -242,6 +243,10 @@ def _subject(request: SimulationRequest) -> _Subject:
         given = next(key for key, value in of_fmus.items() if value)
         raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
     named: dict[str, Any] = {what: request.plant}
+    if request.coupling:
+        if what != "ssp":
+            raise ConfigError(f"coupling: {request.plant} is one plant; it is for systems of several (SSP)")
+        named["coupling"] = dict(request.coupling)
     section = read(PlantSection, named | {"fmi_type": request.fmi_type})
     spec = PlantSpec.of(section, Path.cwd()).built()
     label = path.name if is_file else request.plant
@@ -260,6 +265,8 @@ def prepare(request: SimulationRequest) -> Prepared:
     """
     subject, faults, resumed = _subject(request), _Faults(), request.resumed
     content, platform = subject.spec.content, platform_folders(3)[0] if subject.spec.files else ""
+    if request.coupling:
+        content += f" coupled by {dict(sorted(request.coupling.items()))}"
     if resumed is not None and (others := resumed.faults(subject.label, content, platform)):
         raise ConfigError(others)  # of another plant, nothing else can be said
     if resumed is not None or request.keeps_state:

@@ -317,7 +317,9 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         for warning in understood:
             warnings.warn(warning, CosimWarning, stacklevel=3)
         for part in system.parts:
-            parts[part.name] = PlantSpec("", part.fmu, fmi_type=part.fmi_type, start=part.start)
+            # The author's choice of Co-Simulation is one for an exchange in steps.
+            fmi_type: FMIType = "auto" if options.get("algorithm") == "monolithic" else part.fmi_type
+            parts[part.name] = PlantSpec("", part.fmu, fmi_type=fmi_type, start=part.start)
             parameters |= {f"{part.name}.{name}": value for name, value in part.parameters.items()}
         for name in given.keys() - parts.keys():
             faults.append(f'parts: no part "{name}" in the SSP; {did_you_mean(name, parts)}')

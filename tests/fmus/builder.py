@@ -65,6 +65,7 @@ class Fault(IntEnum):
     ROUND_UP = auto()
     ROUND_TO_ZERO = auto()
     FLUSH_DENORMALS = auto()
+    EVENTS_WITHOUT_END = auto()
     FORGETS_IN_SET_UP = auto()
 
 

@@ -337,6 +337,11 @@ int derivatives(Model *m, double dx[])
     double *v = m->values;
     if (shows(m, MINUS_ONE_IN_STEP))
         return MINUS_ONE;
+    if (m->time > v[FAULT_TIME] + 1e-9 && v[FAULT] != ASK_TO_TERMINATE) {
+        int status = misbehave_in_step(m);
+        if (status != OK)
+            return status;
+    }
     switch (m->kind) {
     case LAG: v[DX] = v[RATE] * (v[U] - v[X]); break;
     case BALL: v[DX] = v[V]; v[DV] = v[U] - v[GRAVITY]; break;
@@ -366,6 +371,8 @@ int handle_event(Model *m)
     }
     if (m->kind == STAIR && m->time >= m->next_event) {
         v[COUNT] += 1.0;
+        if (shows(m, EVENTS_WITHOUT_END))
+            return 0;
         m->next_event += 1.0;
         m->terminate |= v[COUNT] >= 10.0;
     }

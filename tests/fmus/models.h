@@ -66,6 +66,7 @@ typedef enum {
     ROUND_UP,
     ROUND_TO_ZERO,
     FLUSH_DENORMALS, /* of Model Exchange, these three: when derivatives are asked for */
+    EVENTS_WITHOUT_END, /* of STAIR */
     FORGETS_IN_SET_UP, /* fmi2SetupExperiment sets everything to its start value, as that of 20-sim's FMUs */
 } Fault;
 

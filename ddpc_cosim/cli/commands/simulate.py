@@ -83,6 +83,13 @@ def simulate(
     load_state: Path | None = option(
         None, "Go on from a state that was saved of this very plant.", metavar="FILE"
     ),
+    couplings: tuple[str, ...] = option(
+        (),
+        "How the parts of an SSP are coupled, as in [plant.coupling] of a study (`algorithm=monolithic`); "
+        "may be repeated.",
+        name="--coupling",
+        metavar="KEY=VALUE",
+    ),
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     from ddpc_cosim.files.csv_files import CSVFile
@@ -101,8 +108,13 @@ def simulate(
             except ConfigError as error:
                 faults += error.faults
         files, given = dict[str, CSVFile | None](), dict[str, str]()
+        coupling = dict[str, float | str]()
         try:
             given = assignments("--set", values, str)
+        except ConfigError as error:
+            faults += error.faults
+        try:
+            coupling = assignments("--coupling", couplings, _number_or_text)
         except ConfigError as error:
             faults += error.faults
         for name, path in (("inputs", inputs), ("compare", golden)):
@@ -126,6 +138,7 @@ def simulate(
             golden=files["compare"],
             resumed=resumed,
             keeps_state=save_state is not None,
+            coupling=coupling,
         )
         return _simulate(request, out, rel, save_state, sandbox=sandbox)
     except KeyboardInterrupt as asked:  # no cases are kept, of which something could be said
@@ -174,6 +187,13 @@ def _simulate(
         raise simulation.interrupted_by
     differs = difference is not None and not difference.agrees
     return 1 if simulation.failed or differs else 0
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _impossible(path: Path, read: Sequence[Path]) -> str:

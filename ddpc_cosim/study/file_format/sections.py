@@ -179,9 +179,10 @@ class PartSection(Section):
 class CouplingSection(Section):
     """How and when parts exchange their signals."""
 
-    algorithm: Literal["sequential", "parallel"] = setting(
+    algorithm: Literal["sequential", "parallel", "monolithic"] = setting(
         "sequential",
-        doc="parallel: all parts step on what was known; sequential: on what those before them gave",
+        doc="parallel: all parts step on what was known; sequential: on what those before them gave; "
+        "monolithic: FMUs that are all for Model Exchange are one differential equation",
     )
     communication_step: float | None = setting(
         None, doc="time between exchanges, which divides the sampling time; none: that", unit="s", above=0
@@ -191,7 +192,10 @@ class CouplingSection(Section):
         None, doc="tolerance of algebraic loops, relative to nominal values", above=0
     )
     error_tolerance: float | None = setting(
-        None, doc="error that a sample may add, for which steps are repeated; none: they are not", above=0
+        None,
+        doc="error that a sample may add, for which steps are repeated; none: they are not; monolithic: "
+        "tolerance of the integration, none: 1e-10",
+        above=0,
     )
 
     @property

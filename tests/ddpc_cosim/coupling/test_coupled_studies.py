@@ -93,6 +93,16 @@ def test_a_study_of_two_fmus_is_that_of_the_whole(halves: dict[str, Any], tmp_pa
     assert trace.provenance["back.fmu"] == "back.fmu"
 
 
+def test_parts_are_one_equation_where_a_study_says_so(halves: dict[str, Any], tmp_path: Path) -> None:
+    """It has another id than without, and is exact."""
+    (stepped,) = cases_in(write(tmp_path, study(halves)))
+    (case,) = cases_in(write(tmp_path, study(halves | {"coupling": {"algorithm": "monolithic"}})))
+    assert case.id != stepped.id
+    trace = run_case(case)
+    np.testing.assert_allclose(trace.measured, exact(np.zeros(10).tolist(), 0.1)[:, [0, 2]], atol=1e-6)
+    assert trace.provenance["coupling"] == "monolithic"
+
+
 def test_the_results_folder_has_the_study_as_it_was_resolved(halves: dict[str, Any], tmp_path: Path) -> None:
     """Written out, read back and run, it has the same cases; and the report shows what the plant is."""
     first = cases_in(write(tmp_path, study(halves)))
@@ -247,10 +257,11 @@ class TestWhatIsWrong:
     [
         ({"communication_step": 0.03}, "communication_step = 0.03 s does not divide the sampling time"),
         ({"error_tolerance": 1e-3}, 'as part "lag" cannot save its state'),
+        ({"algorithm": "monolithic"}, 'part "lag": it is not an FMU'),
     ],
 )
 def test_a_coupling_that_is_not_possible_is_told_before_any_case_runs(
-    coupling: dict[str, float], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    coupling: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "own_lags.py").write_text(MODULE, encoding="utf-8")

@@ -11,8 +11,10 @@ import pytest
 
 from ddpc_cosim import ConfigError, CoupledPlant, simulate
 from ddpc_cosim.cli.commands.inspect import inspect
+from ddpc_cosim.cli.commands.simulate import simulate as simulate_command
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
+from ddpc_cosim.variables import FloatArray
 
 from .ssp_files import GAIN, binding, component, connection, linear, ssd, ssv, system, write_ssp
 from .test_ssp_systems import BODY_MODEL, WHEEL_MODEL
@@ -115,6 +117,42 @@ def test_an_archive_is_a_plant_in_python_too(car: Path) -> None:
     with CoupledPlant.from_ssp(car, outputs=["body.speed"], isolated=True) as plant:
         assert [v.name for v in plant.outputs] == ["body.speed"]
         np.testing.assert_allclose(plant.reset(), [0.0])
+
+
+def test_simulate_couples_an_archive_as_it_is_told(car: Path, tmp_path: Path) -> None:
+    """As one equation the car, at rest, does what the shortest steps come near; what is wrong is told."""
+    inputs = tmp_path / "road.csv"
+    inputs.write_text("time,road\n0,10\n2,10\n", encoding="utf-8")
+
+    def height(**coupling: float | str) -> FloatArray:
+        frame = simulate(car, inputs=inputs, stop=2.0, step=0.1, coupling=coupling)
+        return frame["height [mm]"].to_numpy()
+
+    whole = height(algorithm="monolithic")
+    errors = [
+        np.abs(height(communication_step=h, extrapolation="linear") - whole).max() for h in (0.02, 0.01)
+    ]
+    assert errors[1] < 0.5 * errors[0] < 0.5
+    with pytest.raises(ConfigError, match=r"coupling.algorithm: must be one of .* 'monolithic', got 'monol"):
+        height(algorithm="monolitic")
+    out = tmp_path / "car.csv"
+    options = (
+        "--inputs",
+        inputs,
+        "--stop",
+        "2",
+        "--step",
+        "0.1",
+        "--out",
+        out,
+        "--coupling",
+        "algorithm=monolithic",
+    )
+    assert simulate_command.main([str(car), *map(str, options)], standalone_mode=False) == 0
+    written = np.genfromtxt(out, delimiter=",", names=True)
+    np.testing.assert_allclose(written["height_mm"], whole, rtol=1e-9)
+    with pytest.raises(ConfigError, match="it is for systems of several"):
+        simulate("pendulum", coupling={"algorithm": "parallel"})
 
 
 def test_init_of_a_system_without_inputs(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from ddpc_cosim.errors import FMUStepError, StepStatus
 from ddpc_cosim.fmu import integrators
+from ddpc_cosim.fmu.fmi2 import Fmi2Model
 from ddpc_cosim.fmu.plant import FMUPlant
 
 VERSIONS = ("1.0", "2.0", "3.0")
@@ -135,6 +136,22 @@ def test_step_events_are_asked_for_after_integrator_steps(
         assert x + count == pytest.approx(0.1 * k, abs=1e-6)
     assert count >= 2
     relay.close()
+
+
+def test_an_interrupt_while_it_is_integrated_is_not_lost(
+    tmp_path: Path, integrator: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exceptions do not cross C: CVode is told to give up, and what was raised is raised then."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    lag = session(tmp_path, "2.0", "lag", ["x"])
+    lag.reset()
+    monkeypatch.setattr(Fmi2Model, "get_derivatives", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        lag.step(np.ones(1), 0.1)
+    lag.close()
 
 
 def test_an_exported_plant_follows_its_equations(pendulum_fmu: Path, integrator: str) -> None:

@@ -46,6 +46,16 @@ def announced(tmp_path: Path) -> Iterator[RowStore]:
     safe_calls.announce_calls(before)
 
 
+def test_a_call_within_another_gives_it_another_name_only(announced: RowStore) -> None:
+    """So an integration without an end, of short calls, is seen not to return."""
+    safe_calls.announce_call_of_plant("step", 1.0)
+    number = announced.call.number
+    safe_calls.announce_call_of_plant('drive of part "a"', 1.5, is_within=True)
+    assert announced.call == (number, "plant", 'drive of part "a"', 1.5)
+    safe_calls.announce_call_of_plant('step of part "a"', 2.0)
+    assert announced.call.number == number + 1
+
+
 def test_a_run_can_be_followed_in_its_file(announced: RowStore, pendulum_fmu: Path, tmp_path: Path) -> None:
     controller = Looks(look=lambda: RowStore(4, 1, 1, 1, tmp_path / "rows"))
     with FMUPlant(pendulum_fmu, inputs=["torque"], outputs=["angle"]) as plant:

@@ -29,6 +29,7 @@ from ddpc_cosim import (
     Steps,
     setting,
 )
+from ddpc_cosim.loop.master import Resumption
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.cases import Case, _hash_of, cases_of, doing_nothing
 from ddpc_cosim.study.file_format.sections import expand_seeds
@@ -321,6 +322,7 @@ OTHER: dict[str, Any] = {
     "forecast_horizon": 3,
     "warm_up": 0.5,
     "warm_up_controller": {"type": "pid", "settings": {}},
+    "resumed": Resumption(b"state", 0.0),
 }
 """Another value of every field of a case that decides its result."""
 
@@ -336,6 +338,7 @@ SAME: dict[str, Any] = {
     "late": "other",
     "sandbox": "other",
     "storage": "parquet",
+    "keeps_state": True,
 }
 """Another value of every field that does not, whatever it is."""
 
