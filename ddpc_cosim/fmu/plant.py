@@ -73,6 +73,9 @@ class FMUPlant(Plant):
         How many times its own size it may get; 10 MB are always allowed.
     trace_calls : str or Path, optional
         File that every FMI call is written to, with arguments, status and results, up to a crash.
+    library_path : sequence of str or Path
+        Libraries that are loaded before the FMU's, and folders that have those which it needs, on Linux. They
+        come before those of the FMU and of the system.
 
     Attributes
     ----------
@@ -115,6 +118,7 @@ class FMUPlant(Plant):
         max_files: int = _DEFAULTS.max_files,
         max_ratio: float = _DEFAULTS.max_ratio,
         trace_calls: str | Path | None = None,
+        library_path: Sequence[str | Path] = (),
     ) -> None:
         self.path = Path(path)
         if not self.path.is_file():
@@ -126,6 +130,8 @@ class FMUPlant(Plant):
             for name, value in {"step_timeout": step_timeout, **given}.items()
             if not (isinstance(value, Real) and 0 < value < math.inf)
         ]
+        libraries = [Path(place).absolute() for place in library_path]
+        faults += [f"library_path: no such library or folder: {p}" for p in libraries if not p.exists()]
         if sandbox and not isolated:
             faults.append("sandbox = True needs isolated = True: a process of its own enters it")
         if faults:
@@ -148,6 +154,7 @@ class FMUPlant(Plant):
                     tolerance=tolerance,
                     limits=UnpackLimits(max_unpacked_size, max_files, max_ratio),
                     trace_calls=Path(trace_calls).absolute() if trace_calls else None,
+                    library_path=libraries,
                 )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
@@ -330,13 +337,18 @@ class FMUPlant(Plant):
         return self._session.time
 
     def provenance(self) -> Mapping[str, str]:
-        """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings."""
+        """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings.
+
+        Of libraries of the study, and of stand-ins, it has hashes.
+        """
         description = self.description
         identifiers = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
         if self._fmu.tolerance is not None:
             identifiers["fmu_tolerance"] = repr(self._fmu.tolerance)
         if self._sandbox:
             identifiers["sandbox"] = self._sandbox
+        if companions := self._fmu.companions.identity:
+            identifiers["fmu_libraries"] = "; ".join(f"{name}: {what}" for name, what in companions.items())
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,
