@@ -35,6 +35,10 @@ _NOT_FOUND = re.compile(r"(?P<name>[^\s/:]+): cannot open shared object file")
 _Finder = Callable[[str], Path | None]
 
 
+def say_nothing(_: object) -> None:
+    """Let a line, or a folder, go by."""
+
+
 class MissingLibraryError(RuntimeError):
     """A library that the FMU needs is neither in the FMU nor in the system."""
 
@@ -73,8 +77,8 @@ def find_companions(
     library: Path,
     resources: Path,
     library_path: Sequence[Path] = (),
-    tell: Callable[[str], object] = lambda _: None,
-    keep: Callable[[Path], object] = lambda _: None,
+    tell: Callable[[str], object] = say_nothing,
+    keep: Callable[[Path], object] = say_nothing,
 ) -> Companions:
     """Return what is to be loaded with an FMU's library; stand-ins are compiled, and put beside it.
 
@@ -96,9 +100,8 @@ def find_companions(
     stand_ins = list[str]()
     for name, reason in missing_for_good(library, resources, library_path).items():
         if not reason:
-            tell(f"compiling a stand-in for {name}")
             with suppress(ExportError, OSError):  # the loader will ask why
-                compiled = STAND_INS[name].compiled()
+                compiled = STAND_INS[name].compiled(tell)
                 keep(compiled.parent)
                 (library.parent / name).write_bytes(compiled.read_bytes())
                 stand_ins.append(name)
@@ -128,7 +131,9 @@ def _given(in_fmu: Sequence[Path], library_path: Sequence[Path]) -> tuple[Path, 
     def find(name: str) -> Path | None:
         return next((path for folder in folders if (path := folder / name).is_file()), None)
 
-    return tuple(path for path in _closure([*named, *in_fmu], find) if path not in in_fmu)
+    every = [path for path in _closure([*named, *in_fmu], find) if path not in in_fmu]
+    by_name = {path.name: path for path in reversed(every)}  # the loader knows one of a name
+    return tuple(path for path in every if path is by_name[path.name])
 
 
 def _closure(libraries: Sequence[Path], find: _Finder) -> list[Path]:
@@ -201,7 +206,7 @@ def _why_missing(name: str, library: Path, resources: Path) -> str:
     reason = missing_for_good(library, resources).get(name)
     if reason == "":
         try:
-            STAND_INS[name].compiled()
+            STAND_INS[name].compiled(say_nothing)
         except (ExportError, OSError) as error:
             return f"a stand-in for {name} cannot be compiled: {error}"
     return reason or ""

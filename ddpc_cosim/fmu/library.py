@@ -27,7 +27,7 @@ from ddpc_cosim.errors import CosimError, FMUImportError
 from ddpc_cosim.fmu.archive import is_file_name, unpack
 from ddpc_cosim.fmu.build import compile_sources, has_sources
 from ddpc_cosim.fmu.call_trace import TracedFunction
-from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions
+from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions, say_nothing
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.stand_ins import STAND_INS
@@ -216,21 +216,13 @@ def library_extension() -> str:
     return str(fmpy.sharedLibraryExtension)
 
 
-def _say_nothing(line: str) -> None:
-    """Let a line go by."""
-
-
-def _ignore(folder: Path) -> None:
-    """Let a folder go by."""
-
-
 def find_library(
     folder: Path,
     description: FMUDescription,
     interface: Interface,
     label: str,
-    tell: Callable[[str], object] = _say_nothing,
-    keep: Callable[[Path], object] = _ignore,
+    tell: Callable[[str], object] = say_nothing,
+    keep: Callable[[Path], object] = say_nothing,
 ) -> tuple[Path, tuple[str, ...]]:
     """Return the library to load, and warnings where it is not where the standard wants it.
 
@@ -274,9 +266,7 @@ def find_library(
     )
 
 
-def compile_ahead(
-    path: Path, tell: Callable[[str], object] = _say_nothing, library_path: Sequence[Path] = ()
-) -> list[Path]:
+def compile_ahead(path: Path, tell: Callable[[str], object] = say_nothing) -> list[Path]:
     """Compile what an FMU has as C sources only, and stand-ins, before anything is timed, into the cache.
 
     Returns the folders of the cache that have them. What is wrong with the FMU is told where it is opened.
@@ -287,8 +277,6 @@ def compile_ahead(
         The FMU.
     tell : callable, optional
         Called with a line before each is compiled.
-    library_path : sequence of Path
-        Where the study has libraries that the FMU's needs.
     """
     cached_folders = list[Path]()
     with suppress(CosimError, OSError, zipfile.BadZipFile):
@@ -307,7 +295,7 @@ def compile_ahead(
                     library, _ = find_library(
                         folder, description, interface, path.name, tell, cached_folders.append
                     )
-                    find_companions(library, folder / "resources", library_path, tell, cached_folders.append)
+                    find_companions(library, folder / "resources", (), tell, cached_folders.append)
     return cached_folders
 
 

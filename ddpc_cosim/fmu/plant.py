@@ -15,11 +15,12 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.archive import UnpackLimits
+from ddpc_cosim.fmu.companions import Companions
 from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
-from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant, library_path_faults
 from ddpc_cosim.processes.limits import limits_warning
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
@@ -131,7 +132,7 @@ class FMUPlant(Plant):
             if not (isinstance(value, Real) and 0 < value < math.inf)
         ]
         libraries = [Path(place).absolute() for place in library_path]
-        faults += [f"library_path: no such library or folder: {p}" for p in libraries if not p.exists()]
+        faults += library_path_faults(libraries)
         if sandbox and not isolated:
             faults.append("sandbox = True needs isolated = True: a process of its own enters it")
         if faults:
@@ -327,6 +328,11 @@ class FMUPlant(Plant):
         return self._fmu.description
 
     @property
+    def companions(self) -> Companions:
+        """What is loaded with the FMU's library besides what is in the FMU and in the system."""
+        return self._fmu.companions
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the FMU but does not keep it from running, as far as that is known by now."""
         return tuple(filter(None, dict.fromkeys((*self._warnings, self._session.remark))))
@@ -347,8 +353,8 @@ class FMUPlant(Plant):
             identifiers["fmu_tolerance"] = repr(self._fmu.tolerance)
         if self._sandbox:
             identifiers["sandbox"] = self._sandbox
-        if companions := self._fmu.companions.identity:
-            identifiers["fmu_libraries"] = "; ".join(f"{name}: {what}" for name, what in companions.items())
+        if libraries := self.companions.identity:
+            identifiers["fmu_libraries"] = "; ".join(f"{name}: {what}" for name, what in libraries.items())
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,

@@ -11,7 +11,7 @@ of each. In all of these lengths of texts are 32-bit integers.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -398,8 +398,13 @@ class StandIn:
                 lacking.add(f"{symbol.name} ({symbol.version})" if symbol.version else symbol.name)
         return sorted(lacking)
 
-    def compiled(self) -> Path:
+    def compiled(self, tell: Callable[[str], object]) -> Path:
         """Return the library, from the cache or compiled for it.
+
+        Parameters
+        ----------
+        tell : callable
+            Called with a line before it is compiled.
 
         Raises
         ------
@@ -418,6 +423,7 @@ class StandIn:
         functions = [f"_gfortran_{name}" for functions in self.functions.values() for name in functions]
 
         def make() -> bytes:
+            tell(f"compiling a stand-in for {self.name}")
             files = {"stand_in.c": self.source, script: self.versions}
             return compile_library(compiler, files, [MARK, *functions], flags)
 

@@ -12,6 +12,7 @@ from typing import Literal
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.build import described_sources, has_sources, is_source
+from ddpc_cosim.fmu.companions import EVERYWHERE, missing_for_good
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
@@ -56,7 +57,13 @@ NO_LIBRARY = Kind(
     "missing-library",
     _ERROR,
     "the FMU's library needs others that are neither in the FMU nor on this machine",
-    "install them, or add their folder to LD_LIBRARY_PATH",
+    "install them, or give their folder: plant.library_path of a study, --library-path",
+)
+STAND_IN = Kind(
+    "stand-in",
+    _WARNING,
+    "the FMU's library needs others, of old compilers, that are neither in the FMU nor on this machine",
+    "stand-ins are compiled, which have the functions that the FMU takes from them",
 )
 BAD_SOURCES = Kind(
     "bad-sources", _WARNING, "the description of the C sources cannot be used", "they are not compiled"
@@ -80,15 +87,6 @@ _NEEDED: Mapping[tuple[int, InterfaceKind], tuple[str, ...]] = {
 
 _LONGEST_LOADING = 30.0
 _LONGEST_HEADER = 4096
-# Python itself would not run without them; what is looked for takes a process.
-_EVERYWHERE = {
-    "libc.so.6",
-    "libm.so.6",
-    "libpthread.so.0",
-    "libdl.so.2",
-    "librt.so.1",
-    "ld-linux-x86-64.so.2",
-}
 # In a process of its own: libraries may do anything when they are loaded.
 _LOADING = """
 import ctypes, sys
@@ -120,13 +118,20 @@ class Binaries:
 
 
 def check_binaries(
-    folder: Path, description: FMUDescription | None, label: str, findings: Findings
+    folder: Path,
+    description: FMUDescription | None,
+    label: str,
+    findings: Findings,
+    library_path: Sequence[Path] = (),
 ) -> Binaries:
-    """Check the library for this platform and the sources, for the interface that is preferred."""
+    """Check the library for this platform and the sources, for the interface that is preferred.
+
+    ``library_path`` has further libraries, as of :class:`ddpc_cosim.FMUPlant`.
+    """
     sources = description is not None and _check_sources(folder, description, label, findings)
     route: Route = ""
     if description is not None and description.preferred is not None:
-        route = _check_library(folder, description, description.preferred, sources, findings)
+        route = _check_library(folder, description, description.preferred, sources, findings, library_path)
     if route and _forbids_execution(folder):
         findings.add(NO_EXECUTION, tempfile.gettempdir())
         route = ""
@@ -134,7 +139,12 @@ def check_binaries(
 
 
 def _check_library(
-    folder: Path, description: FMUDescription, interface: Interface, sources: bool, findings: Findings
+    folder: Path,
+    description: FMUDescription,
+    interface: Interface,
+    sources: bool,
+    findings: Findings,
+    library_path: Sequence[Path],
 ) -> Route:
     major, identifier = description.major, interface.model_identifier
     wanted = f"{identifier}{library_extension()}"
@@ -146,7 +156,7 @@ def _check_library(
                 findings.add(UNNAMED_LIBRARY, f"{place}/{library.name} instead of {wanted}")
             if place != folders[0]:
                 findings.add(MISPLACED_LIBRARY, f"{place} instead of {folders[0]}")
-            return _check_content(library, major, interface, folder / "resources", findings)
+            return _check_content(library, major, interface, folder / "resources", findings, library_path)
     if not sources:
         findings.add(NO_BINARY, f"binaries/{folders[0]}/{wanted}; there are {listed(folder)}")
         return ""
@@ -158,7 +168,12 @@ def _check_library(
 
 
 def _check_content(
-    library: Path, major: int, interface: Interface, resources: Path, findings: Findings
+    library: Path,
+    major: int,
+    interface: Interface,
+    resources: Path,
+    findings: Findings,
+    library_path: Sequence[Path],
 ) -> Route:
     from fmu_plants.export.binaries import is_cut_off, processor
 
@@ -178,9 +193,14 @@ def _check_content(
     if missing:
         findings.add(NO_FUNCTIONS, ", ".join(missing))
         return ""
-    absent = _missing_libraries(library, resources)
-    if absent:
-        findings.add(NO_LIBRARY, ", ".join(absent))
+    old = missing_for_good(library, resources, library_path)
+    replaced = [name for name, reason in old.items() if not reason]
+    if replaced:
+        findings.add(STAND_IN, ", ".join(replaced))
+    absent = [name for name in _missing_libraries(library, resources, library_path) if name not in replaced]
+    if absent or any(old.values()):
+        reasons = [f"{name} ({reason})" for name, reason in old.items() if reason]
+        findings.add(NO_LIBRARY, ", ".join([*reasons, *(name for name in absent if name not in old)]))
         return ""
     return "binary"
 
@@ -200,7 +220,7 @@ def _forbids_execution(folder: Path) -> bool:
     return bool(os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
 
 
-def _missing_libraries(library: Path, resources: Path) -> list[str]:
+def _missing_libraries(library: Path, resources: Path, library_path: Sequence[Path]) -> list[str]:
     """Return the libraries that an FMU's needs and that are neither in the FMU nor in the system (Linux)."""
     from fmu_plants.export.binaries import needed_libraries
 
@@ -211,10 +231,12 @@ def _missing_libraries(library: Path, resources: Path) -> list[str]:
     except ValueError:  # damaged: the loader will tell
         return []
     bundled = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
+    bundled |= {place.name for place in library_path if place.is_file()}
+    bundled |= {name for name in needed for place in library_path if (place / name).is_file()}
     origin = str(library.parent)
     folders = [Path(p.replace("${ORIGIN}", origin).replace("$ORIGIN", origin)) for p in run_path]
     # A path would have this very file loaded, wherever it leads: looking at an FMU must not do that.
-    foreign = [name for name in needed if name not in bundled | _EVERYWHERE and "/" not in name]
+    foreign = [name for name in needed if name not in bundled | EVERYWHERE and "/" not in name]
     elsewhere = [name for name in foreign if not any((folder / name).is_file() for folder in folders)]
     return _not_in_system(elsewhere) if elsewhere else []
 

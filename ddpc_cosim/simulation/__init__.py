@@ -133,6 +133,7 @@ def simulate(
     step_timeout: float = DEFAULT_STEP_TIMEOUT,
     trace_calls: str | Path | None = None,
     sandbox: bool = False,
+    library_path: Sequence[str | Path] = (),
 ) -> "pd.DataFrame":
     """Simulate a plant in open loop, in a process of its own.
 
@@ -160,6 +161,8 @@ def simulate(
         File that every FMI call is written to.
     sandbox : bool
         Whether it runs in a sandbox, as of :class:`FMUPlant`.
+    library_path : sequence of str or Path
+        Libraries that FMUs need, as of :class:`FMUPlant`.
 
     Returns
     -------
@@ -216,6 +219,7 @@ def simulate(
         fmi_type=fmi_type,
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
+        library_path=[str(Path(place).absolute()) for place in library_path],
     )
     with demanded(sandbox):
         prepared = prepare(request)

@@ -46,6 +46,7 @@ class SimulationRequest(NamedTuple):
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     trace_calls: str = ""
     golden: CSVFile | None = None
+    library_path: Sequence[str] = ()
 
 
 class Prepared(NamedTuple):
@@ -223,7 +224,8 @@ def _subject(request: SimulationRequest) -> _Subject:
         given = next(key for key, value in of_fmus.items() if value)
         raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
     named: dict[str, Any] = {what: request.plant}
-    section = read(PlantSection, named | {"fmi_type": request.fmi_type})
+    named |= {"fmi_type": request.fmi_type, "library_path": list(request.library_path)}
+    section = read(PlantSection, named)
     spec = PlantSpec.of(section, Path.cwd()).built()
     label = path.name if is_file else request.plant
     return (_FMUSubject if spec.fmu else _Subject)(label, spec, spec.variables())

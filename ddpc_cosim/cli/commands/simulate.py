@@ -63,6 +63,7 @@ def simulate(
     trace_calls: Path | None = option(
         None, "Write every FMI call with its arguments, status and results.", metavar="FILE"
     ),
+    library_path: tuple[Path, ...] = options.LIBRARY_PATH,
     sandbox: bool = options.SANDBOX,
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
@@ -95,6 +96,7 @@ def simulate(
             step_timeout=step_timeout,
             trace_calls=str(trace_calls or ""),
             golden=files["compare"],
+            library_path=[str(path.absolute()) for path in library_path],
         )
         return _simulate(request, out, rel, sandbox=sandbox)
     except KeyboardInterrupt as asked:  # no cases are kept, of which something could be said
