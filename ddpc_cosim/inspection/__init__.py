@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from ddpc_cosim.description import DescribedVariable, switches_of
 from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
+from ddpc_cosim.fmu.companions import say_nothing
 from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
@@ -128,8 +129,11 @@ def inspect_fmu(
     strict: bool = False,
     unpack_limits: UnpackLimits | None = None,
     library_path: Sequence[str | Path] = (),
+    tell: Callable[[str], object] = say_nothing,
 ) -> Inspection:
     """Look at an FMU; the time it takes is linear in the number of variables, except with ``strict``.
+
+    Of one that has C sources but no binary for this platform, these are compiled, and kept for its first use.
 
     Parameters
     ----------
@@ -141,6 +145,8 @@ def inspect_fmu(
         How large the FMU may get when it is unpacked.
     library_path : sequence of str or Path
         Further libraries, as of :class:`ddpc_cosim.FMUPlant`.
+    tell : callable, optional
+        Called with a line before anything is compiled.
 
     Raises
     ------
@@ -166,7 +172,12 @@ def inspect_fmu(
     scratch = ScratchFolder()
     scratch.remove_after_death()
     with scratch as folder:
-        description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings, library_path)
+        libraries = [Path(place).absolute() for place in library_path]
+
+        def check(description: FMUDescription | None, unpacked: Path) -> Binaries:
+            return check_binaries(unpacked, description, path.name, findings, libraries, tell)
+
+        description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings, check)
     if strict and binaries is not _NO_BINARIES:
         _validate(path, findings)
     with path.open("rb") as file:
@@ -179,7 +190,7 @@ def _look_inside(
     folder: Path,
     limits: UnpackLimits | None,
     findings: Findings,
-    library_path: Sequence[str | Path],
+    check: Callable[[FMUDescription | None, Path], Binaries],
 ) -> tuple[FMUDescription | None, Binaries]:
     folder.mkdir()
     try:
@@ -194,8 +205,7 @@ def _look_inside(
         return None, _NO_BINARIES
     if description is not None:
         check_description(description, findings)
-    libraries = [Path(place).absolute() for place in library_path]
-    return description, check_binaries(folder, description, path.name, findings, libraries)
+    return description, check(description, folder)
 
 
 def _validate(path: Path, findings: Findings) -> None:

@@ -134,7 +134,7 @@ class WantedSymbol(NamedTuple):
 
 
 def wanted_symbols(library: bytes) -> frozenset[WantedSymbol]:
-    """Return what an ELF library takes from others.
+    """Return what an ELF library takes from others and cannot do without.
 
     Those of other formats, and of files without section headers, are not read. Source: System V ABI, symbol
     table; Linux Standard Base, symbol versioning.
@@ -170,10 +170,10 @@ def _undefined(
     numbers: int | None,
     versions: Mapping[int, tuple[str, str]],
 ) -> Iterator[WantedSymbol]:
-    undefined, hidden = 0, 0x8000
+    undefined, hidden, weak = 0, 0x8000, 2
     for index in range(1, length // 24):  # the first is none
-        name, _, _, section = struct.unpack_from("<I2BH", content, offset + 24 * index)
-        if section == undefined and name:
+        name, info, _, section = struct.unpack_from("<I2BH", content, offset + 24 * index)
+        if section == undefined and name and info >> 4 != weak:
             number = 0 if numbers is None else struct.unpack_from("<H", content, numbers + 2 * index)[0]
             yield WantedSymbol(_short_text(content, names + name), *versions.get(number & ~hidden, ("", "")))
 
