@@ -64,7 +64,7 @@ def is_cut_off(library: bytes) -> bool:
         return False
     try:
         segments = _elf_table(library, 0x20, 0x36, "<2I5Q")
-    except struct.error:
+    except (struct.error, OverflowError):
         return True
     return any(s[0] == loaded_segment and s[2] + s[5] > len(library) for s in segments)
 
@@ -73,7 +73,7 @@ def is_cut_off(library: bytes) -> bool:
 def _damage_as_value_error() -> Iterator[None]:
     try:
         yield
-    except (struct.error, IndexError) as error:
+    except (struct.error, IndexError, OverflowError) as error:
         raise ValueError(f"the library is damaged: {error}") from error
 
 
