@@ -79,10 +79,10 @@ class UnpackedFMU:
     tolerance : float or None
         Relative tolerance that the FMU is told, the one of its default experiment unless another is given;
         None: none.
-    start : mapping of str to float
-        Start values of inputs, driven or not, in place of the FMU's own.
     companions : Companions
         What is loaded with its library.
+    start : mapping of str to float
+        Start values of inputs, driven or not, in place of the FMU's own.
     """
 
     label: str
@@ -93,8 +93,8 @@ class UnpackedFMU:
     source: InstanceSource
     warnings: tuple[str, ...]
     tolerance: float | None
-    start: Mapping[str, float] = field(default_factory=dict)
     companions: Companions = field(default_factory=Companions)
+    start: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_for_both(self) -> bool:
@@ -174,8 +174,8 @@ def unpack_fmu(
         source,
         tuple(warnings),
         tolerance,
-        start,
         companions,
+        start,
     )
 
 

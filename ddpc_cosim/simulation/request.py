@@ -43,10 +43,10 @@ class SimulationRequest(NamedTuple):
     step: float | None = None
     outputs: Sequence[str] | None = None
     fmi_type: FMIType = "auto"
+    library_path: Sequence[str] = ()
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     trace_calls: str = ""
     golden: CSVFile | None = None
-    library_path: Sequence[str] = ()
 
 
 class Prepared(NamedTuple):

@@ -59,11 +59,11 @@ def simulate(
         show_default=True,
     ),
     fmi_type: Literal["auto", "co-simulation", "model-exchange"] = option("auto", show_default=True),
+    library_path: tuple[Path, ...] = options.LIBRARY_PATH,
     step_timeout: float = options.STEP_TIMEOUT,
     trace_calls: Path | None = option(
         None, "Write every FMI call with its arguments, status and results.", metavar="FILE"
     ),
-    library_path: tuple[Path, ...] = options.LIBRARY_PATH,
     sandbox: bool = options.SANDBOX,
 ) -> int:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
@@ -93,10 +93,10 @@ def simulate(
             step=step,
             outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,
             fmi_type=fmi_type,
+            library_path=[str(path.absolute()) for path in library_path],
             step_timeout=step_timeout,
             trace_calls=str(trace_calls or ""),
             golden=files["compare"],
-            library_path=[str(path.absolute()) for path in library_path],
         )
         return _simulate(request, out, rel, sandbox=sandbox)
     except KeyboardInterrupt as asked:  # no cases are kept, of which something could be said
