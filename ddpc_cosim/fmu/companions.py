@@ -95,7 +95,7 @@ def find_companions(
     keep : callable, optional
         Called with the folder of the cache that has it.
     """
-    if not (library_path or _needed_by(library)):
+    if not (library_path or _names_old_ones(library, resources)):  # as nearly all; without reading further
         return Companions()
     stand_ins = list[str]()
     for name, reason in missing_for_good(library, resources, library_path).items():
@@ -107,6 +107,19 @@ def find_companions(
                 stand_ins.append(name)
     in_fmu = _closure([library], _below(library.parent, resources))
     return Companions(_given(in_fmu, library_path), tuple(stand_ins))
+
+
+def _names_old_ones(library: Path, resources: Path) -> bool:
+    """Whether the name of a library that there are stand-ins for is in a library of an FMU."""
+    if not sys.platform.startswith("linux"):
+        return False
+    others = (path for folder in (library.parent, resources) for path in folder.rglob("*.so*"))
+    return any(names_old_one(path.read_bytes()) for path in (library, *others) if path.is_file())
+
+
+def names_old_one(content: bytes) -> bool:
+    """Whether the content of a library has the name of one that there are stand-ins for."""
+    return any(name.encode() in content for name in STAND_INS)
 
 
 def missing_for_good(library: Path, resources: Path, library_path: Sequence[Path] = ()) -> dict[str, str]:

@@ -27,10 +27,9 @@ from ddpc_cosim.errors import CosimError, FMUImportError
 from ddpc_cosim.fmu.archive import is_file_name, unpack
 from ddpc_cosim.fmu.build import compile_sources, has_sources
 from ddpc_cosim.fmu.call_trace import TracedFunction
-from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions, say_nothing
+from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions, names_old_one, say_nothing
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.description.reader import read_description
-from ddpc_cosim.fmu.stand_ins import STAND_INS
 from ddpc_cosim.fmu.status import missing_function
 from ddpc_cosim.processes.scratch import ScratchFolder
 
@@ -308,7 +307,7 @@ def _may_need_stand_in(archive: zipfile.ZipFile) -> bool:
         for entry in archive.infolist()
         if ".so" in entry.filename and entry.file_size <= _LARGEST_LIBRARY
     )
-    return any(name.encode() in archive.read(entry) for entry in libraries for name in STAND_INS)
+    return any(names_old_one(archive.read(entry)) for entry in libraries)
 
 
 def platforms(folder: Path) -> list[str]:
