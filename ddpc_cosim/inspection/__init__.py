@@ -133,7 +133,8 @@ def inspect_fmu(
 ) -> Inspection:
     """Look at an FMU; the time it takes is linear in the number of variables, except with ``strict``.
 
-    Of one that has C sources but no binary for this platform, these are compiled, and kept for its first use.
+    Of one that has C sources but no binary for this platform, these are compiled: in a sandbox, if this
+    system has one. Nothing of it is run.
 
     Parameters
     ----------

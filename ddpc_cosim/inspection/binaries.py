@@ -178,7 +178,7 @@ def _find_library(
         return "", None
     library = folder / "binaries" / folders[0] / wanted
     try:
-        compile_sources(folder, description, identifier, library, label, tell)
+        compile_sources(folder, description, identifier, library, label, tell, only_looking=True)
     except FMUImportError as error:
         findings.add(UNCOMPILED, str(error).removeprefix(f"{label}: "))
         return "", None

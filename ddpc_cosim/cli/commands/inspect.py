@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -21,13 +22,14 @@ def inspect(
     from rich.console import Console
 
     from ddpc_cosim.cli.inspection import plain_lines, print_tables
+    from ddpc_cosim.cli.output import say
     from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
 
     is_system = fmu.suffix.lower() == ".ssp"
     inspection = (
         systems.inspect_ssp(fmu, library_path)
         if is_system
-        else inspect_fmu(fmu, strict=strict, library_path=library_path)
+        else inspect_fmu(fmu, strict=strict, library_path=library_path, tell=partial(say, err=True))
     )
     if as_json:
         data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
