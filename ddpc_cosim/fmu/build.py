@@ -128,7 +128,7 @@ def compile_sources(
     tell : callable
         Called with a line before it is compiled, which may take a while.
     only_looking : bool
-        Whether nobody has asked to run it yet: then what was not compiled before is compiled in a sandbox, if
+        Whether it is not going to be run yet: then what was not compiled before is compiled in a sandbox, if
         the system has one.
 
     Raises

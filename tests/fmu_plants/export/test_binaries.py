@@ -12,7 +12,7 @@ HOST = host_platform()
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a library that takes two functions of a versioned one, one of nobody, and one perhaps."""
+    """Return a library that takes functions of a versioned one, one that is nowhere, and a weak one."""
     folder = tmp_path_factory.mktemp("wanted")
     for name, text in {
         "old.map": "OLD_1.0 { global: first; }; OLD_1.4 { global: second; } OLD_1.0;",
