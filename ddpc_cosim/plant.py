@@ -1,7 +1,8 @@
 """The plant contract: what an FMU becomes, and what a plant written in Python implements."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Literal, Self
 
@@ -13,6 +14,15 @@ ParameterValue = float | int | bool | str
 
 FMIType = Literal["auto", "co-simulation", "model-exchange"]
 """How an FMU is run; ``"auto"``: for Co-Simulation if it can be."""
+
+
+def library_path_faults(library_path: Iterable[str | Path]) -> list[str]:
+    """Return what is wrong with the places of libraries that FMUs need."""
+    return [
+        f"library_path: {place}: no such library or folder"
+        for place in library_path
+        if not Path(place).exists()
+    ]
 
 
 class Plant(ABC):

@@ -135,6 +135,18 @@ def cached(place: str, make: Callable[[], bytes]) -> Path:
     return path
 
 
+def is_cached(place: str) -> bool:
+    """Whether a file is in the cache, as it was written there.
+
+    Raises
+    ------
+    OSError
+        The cache cannot be used.
+    """
+    root = cache_dir()
+    return _is_intact(root / place, root)
+
+
 def _is_intact(path: Path, root: Path) -> bool:
     """Whether a file of the cache is what was written, by this user, and reached by no link."""
     folders = [root / folder for folder in path.relative_to(root).parents[:-1]]

@@ -186,6 +186,13 @@ Executor = Literal["local", "dask"]
 EXECUTOR = option("local", "Where cases run [local].")
 SCHEDULER = option("", "The dask scheduler's: tcp://host:8786.", metavar="ADDRESS")
 SANDBOX = option(False, "Let the FMU write nothing elsewhere, read no files of yours, no network.")
+LIBRARY_PATH = option(
+    (),
+    "A library that is loaded before the FMU's, or a folder with those that it needs; may be repeated.",
+    name="--library-path",
+    type=PathType(exists=True),
+    metavar="PATH",
+)
 NO_REPORT = option(False, "Write no report.")
 OPEN = option(False, "Open the report in a browser.", name="--open")
 JSON = option(False, "Machine-readable output (JSON).", name="--json")

@@ -15,7 +15,7 @@ from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import XMLTree, read_xml
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.processes.rows import content_of
-from ddpc_cosim.processes.sandbox import Sandbox, entered, is_demanded, require
+from ddpc_cosim.processes.sandbox import Sandbox, entered, is_demanded, missing, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
 
@@ -104,6 +104,8 @@ def compile_sources(
     target: Path,
     label: str,
     tell: Callable[[str], object],
+    *,
+    only_looking: bool = False,
 ) -> Path:
     """Build the library of an unpacked FMU from its sources; return the folder of the cache that keeps it.
 
@@ -125,6 +127,9 @@ def compile_sources(
         The FMU's file name, for errors.
     tell : callable
         Called with a line before it is compiled, which may take a while.
+    only_looking : bool
+        Whether it is not going to be run yet: then what was not compiled before is compiled in a sandbox, if
+        the system has one.
 
     Raises
     ------
@@ -133,7 +138,7 @@ def compile_sources(
     """
     from fmu_plants import ExportError
     from fmu_plants.export.compiler import find_compiler
-    from fmu_plants.files import cached
+    from fmu_plants.files import cached, is_cached
 
     sources = folder / "sources"
     described = described_sources(folder, description, label)
@@ -148,14 +153,17 @@ def compile_sources(
 
     apart = is_demanded() and not entered()
 
+    def place(where: str) -> str:
+        return f"libraries/{_digest(sources, sets, compiler.identity + where)}/{target.name}"
+
     def make() -> bytes:
         tell(f"compiling the C sources of {label}")
         return (_built_in_sandbox if apart else _built)(compiler, sources, sets, target.name)
 
-    where = " in a sandbox" if apart or entered() else ""
-    place = f"libraries/{_digest(sources, sets, compiler.identity + where)}/{target.name}"
     try:
-        library = cached(place, make)
+        if only_looking and not entered() and not missing():
+            apart = apart or not is_cached(place(""))
+        library = cached(place(" in a sandbox" if apart or entered() else ""), make)
         target.write_bytes(library.read_bytes())
     except ExportError as error:
         what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"

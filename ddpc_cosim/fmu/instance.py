@@ -60,7 +60,8 @@ class EventInfo:
 class InstanceSource:
     """Where an instance comes from: the FMU's unpacked folder, its library, and the model's identifiers.
 
-    ``trace_calls`` is the file that all calls are written to, if there is to be one.
+    ``trace_calls`` is the file that all calls are written to, if there is to be one; ``given`` are libraries
+    that are loaded before.
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class InstanceSource:
     guid: str
     model_name: str
     trace_calls: Path | None = None
+    given: tuple[Path, ...] = ()
 
 
 class Instance(ABC):
@@ -105,6 +107,7 @@ class Instance(ABC):
                 guid=source.guid,
                 name=self.log.instance_name,
                 trace_calls=source.trace_calls,
+                given=source.given,
             )
         except BaseException:
             self.log.close()

@@ -102,7 +102,8 @@ class IsolatedSession:
         traced = fmu.source.trace_calls
         if sandboxed and traced:
             traced.touch()  # it can be written there, and not be made
-        self._sandbox = Sandbox((folder, *([traced] if traced else []))) if sandboxed else None
+        written = (folder, *([traced] if traced else []))
+        self._sandbox = Sandbox(written, fmu.companions.given) if sandboxed else None
         self._request, self._reply = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
         self._freed_states: list[int] = []
         self.time, self.remark = 0.0, ""

@@ -8,17 +8,15 @@ for the library under one name only. The classes here are FMPy's, with another l
 import ctypes
 import inspect
 import os
-import re
+import sys
 import threading
 import types
 import typing
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import fmpy
 import fmpy.fmi1
@@ -29,6 +27,7 @@ from ddpc_cosim.errors import CosimError, FMUImportError
 from ddpc_cosim.fmu.archive import is_file_name, unpack
 from ddpc_cosim.fmu.build import compile_sources, has_sources
 from ddpc_cosim.fmu.call_trace import TracedFunction
+from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions, names_old_one, say_nothing
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.status import missing_function
@@ -143,6 +142,7 @@ def load_library(
     guid: str,
     name: str,
     trace_calls: Path | None = None,
+    given: Sequence[Path] = (),
 ) -> Any:
     """Load a library and return FMPy's object for it, not yet instantiated.
 
@@ -158,6 +158,8 @@ def load_library(
         From the model description, and the instance's name.
     trace_calls : Path, optional
         File that all calls are written to.
+    given : sequence of Path
+        Libraries that are loaded before it.
 
     Raises
     ------
@@ -167,7 +169,7 @@ def load_library(
     tolerant = _TOLERANT_CLASSES[major, kind]
     fmu = tolerant.__new__(tolerant)
     fmu.library_stem, fmu.trace_calls = library.stem, trace_calls
-    with _kept_working_directory(), BundledLibraries(library.parent, folder / "resources") as bundled:
+    with _kept_working_directory(), LoadedCompanions(library, folder / "resources", given) as companions:
         while True:
             try:
                 fmu.__init__(
@@ -179,7 +181,7 @@ def load_library(
                 )
                 return fmu
             except Exception as error:  # FMPy's own, for whatever the loader says
-                if not bundled.supply(error):
+                if not companions.supply(error):
                     raise
 
 
@@ -194,66 +196,8 @@ def _kept_working_directory() -> Iterator[None]:
             os.chdir(before)
 
 
-_NOT_FOUND = re.compile(r"(?P<name>[^\s/:]+): cannot open shared object file")
-
-
-class MissingLibraryError(RuntimeError):
-    """A library that the FMU needs is neither in the FMU nor in the system."""
-
-
-class BundledLibraries:
-    """Loads libraries of an FMU that its main library needs; the main library keeps them loaded from then on.
-
-    The loader of Linux looks for them in the system's folders only, unless the FMU's library says otherwise,
-    which not all tools see to. Those that are found in the FMU are loaded first: then it has them by name.
-
-    Parameters
-    ----------
-    folders : Path
-        Where they may be: the main library's folder, and any below the FMU's resources.
-    """
-
-    def __init__(self, *folders: Path) -> None:
-        self._folders = folders
-        self._loaded: dict[str, ctypes.CDLL] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for library in self._loaded.values():
-            fmpy.freeLibrary(library._handle)
-
-    def supply(self, error: Exception) -> bool:
-        """Load the library that an error names as missing; return whether it is worthwhile to try again.
-
-        Raises
-        ------
-        MissingLibraryError
-            There is no such library.
-        """
-        match = _NOT_FOUND.search(str(error))
-        if match is None or match["name"] in self._loaded:
-            return False
-        name = match["name"]
-        file = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
-        if file is None:
-            raise MissingLibraryError(
-                f"its library needs {name}, which is neither in the FMU nor on this machine; install it, "
-                "or add its folder to LD_LIBRARY_PATH"
-            ) from error
-        while True:
-            try:
-                self._loaded[name] = ctypes.CDLL(str(file))
-                return True
-            except OSError as fault:  # it may need others in turn
-                if not self.supply(fault):
-                    raise
-
-
 _BINARIES = "binaries"
+_LARGEST_LIBRARY = 1 << 28
 
 
 def platform_folders(major: int) -> tuple[str, ...]:
@@ -271,21 +215,13 @@ def library_extension() -> str:
     return str(fmpy.sharedLibraryExtension)
 
 
-def _say_nothing(line: str) -> None:
-    """Let a line go by."""
-
-
-def _ignore(folder: Path) -> None:
-    """Let a folder go by."""
-
-
 def find_library(
     folder: Path,
     description: FMUDescription,
     interface: Interface,
     label: str,
-    tell: Callable[[str], object] = _say_nothing,
-    keep: Callable[[Path], object] = _ignore,
+    tell: Callable[[str], object] = say_nothing,
+    keep: Callable[[Path], object] = say_nothing,
 ) -> tuple[Path, tuple[str, ...]]:
     """Return the library to load, and warnings where it is not where the standard wants it.
 
@@ -329,8 +265,8 @@ def find_library(
     )
 
 
-def compile_ahead(path: Path, tell: Callable[[str], object] = _say_nothing) -> list[Path]:
-    """Compile the libraries that an FMU has as C sources only, before anything is timed, into the cache.
+def compile_ahead(path: Path, tell: Callable[[str], object] = say_nothing) -> list[Path]:
+    """Compile what an FMU has as C sources only, and stand-ins, before anything is timed, into the cache.
 
     Returns the folders of the cache that have them. What is wrong with the FMU is told where it is opened.
 
@@ -345,16 +281,33 @@ def compile_ahead(path: Path, tell: Callable[[str], object] = _say_nothing) -> l
     with suppress(CosimError, OSError, zipfile.BadZipFile):
         with zipfile.ZipFile(path) as archive:
             folders = {name.rpartition("/")[0] for name in archive.namelist()}
-        ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
-        if ready or not any(folder.split("/")[0] == "sources" for folder in folders):
+            ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
+            if ready and not _may_need_stand_in(archive):
+                return cached_folders
+        if not ready and not any(folder.split("/")[0] == "sources" for folder in folders):
             return cached_folders
         with ScratchFolder() as folder:
             unpack(path, folder)
             description = read_description(folder, path.name)
             for interface in description.interfaces.values():
                 with suppress(FMUImportError):  # another one may do
-                    find_library(folder, description, interface, path.name, tell, cached_folders.append)
+                    library, _ = find_library(
+                        folder, description, interface, path.name, tell, cached_folders.append
+                    )
+                    find_companions(library, folder / "resources", (), tell, cached_folders.append)
     return cached_folders
+
+
+def _may_need_stand_in(archive: zipfile.ZipFile) -> bool:
+    """Whether a library for this platform names one that there are stand-ins for."""
+    if not sys.platform.startswith("linux"):
+        return False
+    libraries = (
+        entry
+        for entry in archive.infolist()
+        if ".so" in entry.filename and entry.file_size <= _LARGEST_LIBRARY
+    )
+    return any(names_old_one(archive.read(entry)) for entry in libraries)
 
 
 def platforms(folder: Path) -> list[str]:

@@ -17,12 +17,13 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.archive import UnpackLimits
+from ddpc_cosim.fmu.companions import Companions
 from ddpc_cosim.fmu.description import Clock, FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.driven import DrivenRun
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
-from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant, library_path_faults
 from ddpc_cosim.processes.limits import limits_warning
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
@@ -78,6 +79,9 @@ class FMUPlant(Plant):
         How many times its own size it may get; 10 MB are always allowed.
     trace_calls : str or Path, optional
         File that every FMI call is written to, with arguments, status and results, up to a crash.
+    library_path : sequence of str or Path
+        Libraries that are loaded before the FMU's, and folders that have those which it needs, on Linux. They
+        come before those of the FMU and of the system.
 
     Attributes
     ----------
@@ -120,6 +124,7 @@ class FMUPlant(Plant):
         max_files: int = _DEFAULTS.max_files,
         max_ratio: float = _DEFAULTS.max_ratio,
         trace_calls: str | Path | None = None,
+        library_path: Sequence[str | Path] = (),
     ) -> None:
         self.path = Path(path)
         if not self.path.is_file():
@@ -131,6 +136,8 @@ class FMUPlant(Plant):
             for name, value in {"step_timeout": step_timeout, **given}.items()
             if not (isinstance(value, Real) and 0 < value < math.inf)
         ]
+        libraries = [Path(place).absolute() for place in library_path]
+        faults += library_path_faults(libraries)
         if sandbox and not isolated:
             faults.append("sandbox = True needs isolated = True: a process of its own enters it")
         if faults:
@@ -153,6 +160,7 @@ class FMUPlant(Plant):
                     tolerance=tolerance,
                     limits=UnpackLimits(max_unpacked_size, max_files, max_ratio),
                     trace_calls=Path(trace_calls).absolute() if trace_calls else None,
+                    library_path=libraries,
                 )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
@@ -384,6 +392,11 @@ class FMUPlant(Plant):
         return self._fmu.description
 
     @property
+    def companions(self) -> Companions:
+        """What is loaded with the FMU's library besides what is in the FMU and in the system."""
+        return self._fmu.companions
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the FMU but does not keep it from running, as far as that is known by now."""
         return tuple(filter(None, dict.fromkeys((*self._warnings, self._session.remark))))
@@ -394,13 +407,18 @@ class FMUPlant(Plant):
         return self._session.time
 
     def provenance(self) -> Mapping[str, str]:
-        """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings."""
+        """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings.
+
+        Of libraries of the study, and of stand-ins, it has hashes.
+        """
         description = self.description
         identifiers = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
         if self._fmu.tolerance is not None:
             identifiers["fmu_tolerance"] = repr(self._fmu.tolerance)
         if self._sandbox:
             identifiers["sandbox"] = self._sandbox
+        if libraries := self.companions.identity:
+            identifiers["fmu_libraries"] = "; ".join(f"{name}: {what}" for name, what in libraries.items())
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,

@@ -23,6 +23,7 @@ from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
+from ddpc_cosim.fmu.companions import Companions, find_companions
 from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.driven import DrivenRun
@@ -78,6 +79,8 @@ class UnpackedFMU:
     tolerance : float or None
         Relative tolerance that the FMU is told, the one of its default experiment unless another is given;
         None: none.
+    companions : Companions
+        What is loaded with its library.
     start : mapping of str to float
         Start values of inputs, driven or not, in place of the FMU's own.
     is_driven : bool
@@ -92,6 +95,7 @@ class UnpackedFMU:
     source: InstanceSource
     warnings: tuple[str, ...]
     tolerance: float | None
+    companions: Companions = field(default_factory=Companions)
     start: Mapping[str, float] = field(default_factory=dict)
     is_driven: bool = False
 
@@ -122,6 +126,7 @@ def unpack_fmu(
     tolerance: float | None = None,
     limits: UnpackLimits | None = None,
     trace_calls: Path | None = None,
+    library_path: Sequence[Path] = (),
 ) -> UnpackedFMU:
     """Unpack and describe an FMU; parameters as of :class:`FMUPlant`.
 
@@ -137,6 +142,7 @@ def unpack_fmu(
     description = read_description(folder, label)
     interface = choose_interface(description, fmi_type, label)
     library, library_warnings = find_library(folder, description, interface, label)
+    companions = find_companions(library, folder / "resources", library_path)
     driven, read = choose_signals(description, label, inputs, outputs)
     start = start or {}
     StartValues(description, label, start, ())  # so that an impossible one is told now, and not at a reset
@@ -152,11 +158,13 @@ def unpack_fmu(
         guid=description.guid,
         model_name=description.model_name or label,
         trace_calls=trace_calls,
+        given=companions.given,
     )
     warnings = dict.fromkeys(
         (
             *description.warnings,
             *library_warnings,
+            *companions.warnings,
             *([tool] if interface.needs_execution_tool else []),
         )
     )
@@ -169,6 +177,7 @@ def unpack_fmu(
         source,
         tuple(warnings),
         tolerance,
+        companions,
         start,
     )
 
@@ -183,6 +192,7 @@ def for_model_exchange(fmu: UnpackedFMU) -> UnpackedFMU:
     """
     interface = fmu.description.interfaces["model-exchange"]
     library, _ = find_library(fmu.source.folder, fmu.description, interface, fmu.label)
+    find_companions(library, fmu.source.folder / "resources", fmu.source.given)
     identifier = interface.model_identifier
     source = replace(fmu.source, library=library, kind=interface.kind, model_identifier=identifier)
     return replace(fmu, interface=interface, source=source)

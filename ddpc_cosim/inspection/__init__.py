@@ -2,19 +2,21 @@
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.description import DescribedVariable, switches_of
-from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
+from ddpc_cosim.fmu.companions import say_nothing
 from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
 from ddpc_cosim.inspection.checks import check_description
+from ddpc_cosim.plant import library_path_faults
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.variables import Variable
 
@@ -122,9 +124,17 @@ class Inspection:
 
 
 def inspect_fmu(
-    path: str | Path, *, strict: bool = False, unpack_limits: UnpackLimits | None = None
+    path: str | Path,
+    *,
+    strict: bool = False,
+    unpack_limits: UnpackLimits | None = None,
+    library_path: Sequence[str | Path] = (),
+    tell: Callable[[str], object] = say_nothing,
 ) -> Inspection:
     """Look at an FMU; the time it takes is linear in the number of variables, except with ``strict``.
+
+    Of one that has C sources but no binary for this platform, these are compiled: in a sandbox, if this
+    system has one. Nothing of it is run.
 
     Parameters
     ----------
@@ -134,11 +144,17 @@ def inspect_fmu(
         Run FMPy's full validation too, which takes seconds for thousands of variables.
     unpack_limits : UnpackLimits, optional
         How large the FMU may get when it is unpacked.
+    library_path : sequence of str or Path
+        Further libraries, as of :class:`ddpc_cosim.FMUPlant`.
+    tell : callable, optional
+        Called with a line before anything is compiled.
 
     Raises
     ------
     FMUImportError
         There is no such file. Everything else that is wrong with it is a defect.
+    ConfigError
+        There are no such libraries.
 
     Examples
     --------
@@ -151,11 +167,18 @@ def inspect_fmu(
     path = Path(path)
     if not path.is_file():
         raise FMUImportError(f"{path}: no such file")
+    if faults := library_path_faults(library_path):
+        raise ConfigError(faults)
     findings = Findings()
     scratch = ScratchFolder()
     scratch.remove_after_death()
     with scratch as folder:
-        description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings)
+        libraries = [Path(place).absolute() for place in library_path]
+
+        def check(description: FMUDescription | None, unpacked: Path) -> Binaries:
+            return check_binaries(unpacked, description, path.name, findings, libraries, tell)
+
+        description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings, check)
     if strict and binaries is not _NO_BINARIES:
         _validate(path, findings)
     with path.open("rb") as file:
@@ -164,7 +187,11 @@ def inspect_fmu(
 
 
 def _look_inside(
-    path: Path, folder: Path, limits: UnpackLimits | None, findings: Findings
+    path: Path,
+    folder: Path,
+    limits: UnpackLimits | None,
+    findings: Findings,
+    check: Callable[[FMUDescription | None, Path], Binaries],
 ) -> tuple[FMUDescription | None, Binaries]:
     folder.mkdir()
     try:
@@ -179,7 +206,7 @@ def _look_inside(
         return None, _NO_BINARIES
     if description is not None:
         check_description(description, findings)
-    return description, check_binaries(folder, description, path.name, findings)
+    return description, check(description, folder)
 
 
 def _validate(path: Path, findings: Findings) -> None:

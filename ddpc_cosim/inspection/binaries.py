@@ -4,14 +4,16 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.build import described_sources, has_sources, is_source
+from ddpc_cosim.fmu.archive import is_file_name
+from ddpc_cosim.fmu.build import compile_sources, described_sources, has_sources, is_source
+from ddpc_cosim.fmu.companions import EVERYWHERE, missing_for_good, say_nothing
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
@@ -29,8 +31,10 @@ NO_COMPILER = Kind(
     "sources but no binary for this platform, and no C compiler here",
     f"install one, or ziglang: {how_to_install('zig')}",
 )
-COMPILED = Kind(
-    "compiled-here", _NOTE, "sources but no binary for this platform", "they are compiled at the first use"
+COMPILED = Kind("compiled-here", _NOTE, "sources but no binary for this platform", "they are compiled here")
+UNCOMPILED = Kind("uncompiled", _ERROR, "no binary for this platform, and C sources that cannot be compiled")
+UNRESOLVED = Kind(
+    "unresolved", _ERROR, "the C sources lack functions that they call", "export the FMU with a binary"
 )
 UNNAMED_LIBRARY = Kind(
     "unnamed-library",
@@ -56,7 +60,13 @@ NO_LIBRARY = Kind(
     "missing-library",
     _ERROR,
     "the FMU's library needs others that are neither in the FMU nor on this machine",
-    "install them, or add their folder to LD_LIBRARY_PATH",
+    "install them, or give their folder: plant.library_path of a study, --library-path",
+)
+STAND_IN = Kind(
+    "stand-in",
+    _WARNING,
+    "the FMU's library needs others, of old compilers, that are neither in the FMU nor on this machine",
+    "stand-ins are compiled, which have the functions that the FMU takes from them",
 )
 BAD_SOURCES = Kind(
     "bad-sources", _WARNING, "the description of the C sources cannot be used", "they are not compiled"
@@ -80,15 +90,6 @@ _NEEDED: Mapping[tuple[int, InterfaceKind], tuple[str, ...]] = {
 
 _LONGEST_LOADING = 30.0
 _LONGEST_HEADER = 4096
-# Python itself would not run without them; what is looked for takes a process.
-_EVERYWHERE = {
-    "libc.so.6",
-    "libm.so.6",
-    "libpthread.so.0",
-    "libdl.so.2",
-    "librt.so.1",
-    "ld-linux-x86-64.so.2",
-}
 # In a process of its own: libraries may do anything when they are loaded.
 _LOADING = """
 import ctypes, sys
@@ -120,22 +121,42 @@ class Binaries:
 
 
 def check_binaries(
-    folder: Path, description: FMUDescription | None, label: str, findings: Findings
+    folder: Path,
+    description: FMUDescription | None,
+    label: str,
+    findings: Findings,
+    library_path: Sequence[Path] = (),
+    tell: Callable[[str], object] = say_nothing,
 ) -> Binaries:
-    """Check the library for this platform and the sources, for the interface that is preferred."""
+    """Check the library for this platform, or compile the sources, for the interface that is preferred.
+
+    ``library_path`` has further libraries, as of :class:`ddpc_cosim.FMUPlant`; ``tell`` is called with a line
+    before anything is compiled.
+    """
     sources = description is not None and _check_sources(folder, description, label, findings)
     route: Route = ""
-    if description is not None and description.preferred is not None:
-        route = _check_library(folder, description, description.preferred, sources, findings)
+    if description is not None and (interface := description.preferred) is not None:
+        route, library = _find_library(folder, description, interface, label, sources, findings, tell)
+        if library is not None and not _is_sound(
+            library, description.major, interface, folder, route, findings, library_path
+        ):
+            route = ""
     if route and _forbids_execution(folder):
         findings.add(NO_EXECUTION, tempfile.gettempdir())
         route = ""
     return Binaries(tuple(platforms(folder)), has_sources(folder), route)
 
 
-def _check_library(
-    folder: Path, description: FMUDescription, interface: Interface, sources: bool, findings: Findings
-) -> Route:
+def _find_library(
+    folder: Path,
+    description: FMUDescription,
+    interface: Interface,
+    label: str,
+    sources: bool,
+    findings: Findings,
+    tell: Callable[[str], object],
+) -> tuple[Route, Path | None]:
+    """Return how an FMU can run here, and its library, which is compiled if there are only sources."""
     major, identifier = description.major, interface.model_identifier
     wanted = f"{identifier}{library_extension()}"
     folders = platform_folders(major)
@@ -146,43 +167,83 @@ def _check_library(
                 findings.add(UNNAMED_LIBRARY, f"{place}/{library.name} instead of {wanted}")
             if place != folders[0]:
                 findings.add(MISPLACED_LIBRARY, f"{place} instead of {folders[0]}")
-            return _check_content(library, major, interface, folder / "resources", findings)
+            return "binary", library
     if not sources:
         findings.add(NO_BINARY, f"binaries/{folders[0]}/{wanted}; there are {listed(folder)}")
-        return ""
+        return "", None
     if not _has_compiler():
         findings.add(NO_COMPILER, f"binaries/{folders[0]}/{wanted}")
-        return ""
+        return "", None
+    if not is_file_name(identifier):  # which is told elsewhere
+        return "", None
+    library = folder / "binaries" / folders[0] / wanted
+    try:
+        compile_sources(folder, description, identifier, library, label, tell, only_looking=True)
+    except FMUImportError as error:
+        findings.add(UNCOMPILED, str(error).removeprefix(f"{label}: "))
+        return "", None
     findings.add(COMPILED, f"binaries/{folders[0]}/{wanted}")
-    return "sources"
+    return "sources", library
 
 
-def _check_content(
-    library: Path, major: int, interface: Interface, resources: Path, findings: Findings
-) -> Route:
+def _is_sound(
+    library: Path,
+    major: int,
+    interface: Interface,
+    folder: Path,
+    route: Route,
+    findings: Findings,
+    library_path: Sequence[Path],
+) -> bool:
+    """Whether a library can be loaded and has what it must, as far as its file says."""
     from fmu_plants.export.binaries import is_cut_off, processor
 
     content = library.read_bytes()
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
-        return ""
+        return False
     its, here = processor(content), _own_processor()
     if its and here and its != here:
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {here}")
-        return ""
+        return False
     if is_cut_off(content):
         findings.add(CUT_OFF_LIBRARY, f"{library.parent.name}/{library.name}, {len(content)} bytes")
-        return ""
+        return False
     prefixes = [f"{name}_" for name in (interface.model_identifier, library.stem)]
     missing = _missing_functions(content, major, interface.kind, prefixes)
     if missing:
         findings.add(NO_FUNCTIONS, ", ".join(missing))
-        return ""
-    absent = _missing_libraries(library, resources)
+        return False
+    if route == "sources" and (unresolved := _unresolved(content)):
+        findings.add(UNRESOLVED, ", ".join(unresolved))
+        return False
+    return _has_companions(library, folder / "resources", library_path, findings)
+
+
+def _unresolved(content: bytes) -> list[str]:
+    """Return what a library compiled here calls, and none that it is linked with has.
+
+    What the linker has found has a version, where the system's libraries have any.
+    """
+    from fmu_plants.export.binaries import wanted_symbols
+
+    wanted = wanted_symbols(content)
+    if not any(symbol.version for symbol in wanted):
+        return []
+    return sorted(symbol.name for symbol in wanted if not symbol.version)
+
+
+def _has_companions(library: Path, resources: Path, library_path: Sequence[Path], findings: Findings) -> bool:
+    """Whether all libraries that an FMU's needs are there, or stand-ins for them can be compiled."""
+    old = missing_for_good(library, resources, library_path)
+    replaced = [name for name, reason in old.items() if not reason]
+    if replaced:
+        findings.add(STAND_IN, ", ".join(replaced))
+    absent = [name for name in _missing_libraries(library, resources, library_path) if name not in old]
+    absent += [f"{name} ({reason})" for name, reason in old.items() if reason]
     if absent:
         findings.add(NO_LIBRARY, ", ".join(absent))
-        return ""
-    return "binary"
+    return not absent
 
 
 def _own_processor() -> str:
@@ -200,7 +261,7 @@ def _forbids_execution(folder: Path) -> bool:
     return bool(os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
 
 
-def _missing_libraries(library: Path, resources: Path) -> list[str]:
+def _missing_libraries(library: Path, resources: Path, library_path: Sequence[Path]) -> list[str]:
     """Return the libraries that an FMU's needs and that are neither in the FMU nor in the system (Linux)."""
     from fmu_plants.export.binaries import needed_libraries
 
@@ -211,10 +272,12 @@ def _missing_libraries(library: Path, resources: Path) -> list[str]:
     except ValueError:  # damaged: the loader will tell
         return []
     bundled = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
+    bundled |= {place.name for place in library_path if place.is_file()}
+    bundled |= {name for name in needed for place in library_path if (place / name).is_file()}
     origin = str(library.parent)
     folders = [Path(p.replace("${ORIGIN}", origin).replace("$ORIGIN", origin)) for p in run_path]
     # A path would have this very file loaded, wherever it leads: looking at an FMU must not do that.
-    foreign = [name for name in needed if name not in bundled | _EVERYWHERE and "/" not in name]
+    foreign = [name for name in needed if name not in bundled | EVERYWHERE and "/" not in name]
     elsewhere = [name for name in foreign if not any((folder / name).is_file() for folder in folders)]
     return _not_in_system(elsewhere) if elsewhere else []
 

@@ -1,7 +1,7 @@
 """What an SSP archive is: its parts, their connections, their order and loops, and what is wrong with it."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,8 +74,11 @@ class SystemInspection:
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
 
-def inspect_ssp(path: Path) -> SystemInspection:
-    """Look at an SSP archive; nothing of it is run. Everything that is wrong with it is a defect."""
+def inspect_ssp(path: Path, library_path: Sequence[str | Path] = ()) -> SystemInspection:
+    """Look at an SSP archive; nothing of it is run. Everything that is wrong with it is a defect.
+
+    ``library_path`` has further libraries of its FMUs, as of :class:`ddpc_cosim.FMUPlant`.
+    """
     content = path.read_bytes()
     findings, system = Findings(), None
     parts: dict[str, Inspection] = {}
@@ -86,7 +89,7 @@ def inspect_ssp(path: Path) -> SystemInspection:
         system = read_ssp(path)
         for warning in system.warnings:
             findings.add(UNDERSTOOD, warning)
-        parts = _inspected(system, findings)
+        parts = _inspected(system, findings, library_path)
         signals, wiring, graph = _structure(system, parts)
         inputs, outputs, order, loops = wiring.inputs, wiring.outputs, graph.order, graph.loops
         own_inputs, own_outputs = (
@@ -107,12 +110,16 @@ def inspect_ssp(path: Path) -> SystemInspection:
     )
 
 
-def _inspected(system: SSPSystem, findings: Findings) -> dict[str, Inspection]:
+def _inspected(
+    system: SSPSystem, findings: Findings, library_path: Sequence[str | Path]
+) -> dict[str, Inspection]:
     """Return the description of each part; its faults are noted with its name."""
     known: dict[str, Inspection] = {}
     by_file: dict[str, Inspection] = {}
     for part in system.parts:
-        known[part.name] = by_file.setdefault(part.fmu, inspect_fmu(part.fmu))
+        if part.fmu not in by_file:
+            by_file[part.fmu] = inspect_fmu(part.fmu, library_path=library_path)
+        known[part.name] = by_file[part.fmu]
         for defect in known[part.name].defects:
             if defect.kind in (NO_INPUTS, NO_OUTPUTS):  # which matters of the whole alone
                 continue

@@ -138,6 +138,7 @@ def simulate(
     step: float | None = None,
     outputs: Sequence[str] | None = None,
     fmi_type: FMIType = "auto",
+    library_path: Sequence[str | Path] = (),
     step_timeout: float = DEFAULT_STEP_TIMEOUT,
     trace_calls: str | Path | None = None,
     sandbox: bool = False,
@@ -168,6 +169,8 @@ def simulate(
         What is recorded; default: the outputs, of an FMU without any its states or local variables.
     fmi_type : str
         How an FMU is run, as in :class:`FMUPlant`.
+    library_path : sequence of str or Path
+        Libraries that FMUs need, as of :class:`FMUPlant`.
     step_timeout : float
         Longest time for any call of the plant [s].
     trace_calls : str or Path, optional
@@ -255,6 +258,7 @@ def simulate(
         step=step,
         outputs=outputs,
         fmi_type=fmi_type,
+        library_path=[str(Path(place).absolute()) for place in library_path],
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
         resumed=None if load_state is None else PlantState.read(Path(load_state)),

@@ -48,6 +48,7 @@ class SimulationRequest(NamedTuple):
     step: float | None = None
     outputs: Sequence[str] | None = None
     fmi_type: FMIType = "auto"
+    library_path: Sequence[str] = ()
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     trace_calls: str = ""
     golden: CSVFile | None = None
@@ -247,7 +248,8 @@ def _subject(request: SimulationRequest) -> _Subject:
         if what != "ssp":
             raise ConfigError(f"coupling: {request.plant} is one plant; it is for systems of several (SSP)")
         named["coupling"] = dict(request.coupling)
-    section = read(PlantSection, named | {"fmi_type": request.fmi_type})
+    named |= {"fmi_type": request.fmi_type, "library_path": list(request.library_path)}
+    section = read(PlantSection, named)
     spec = PlantSpec.of(section, Path.cwd()).built()
     label = path.name if is_file else request.plant
     return (_FMUSubject if spec.fmu else _Subject)(label, spec, spec.variables())

@@ -245,6 +245,8 @@ class Problem:
         How an FMU is run.
     isolated : bool or "auto"
         Whether each case runs its FMU in a process of its own; auto: if the FMU is a supplied file.
+    library_path : sequence of str or Path
+        Libraries that are loaded before the FMU's, and folders that have those which it needs.
     step_timeout, case_timeout : float, optional
         Longest time for any call of the plant or of a controller, and for a whole case [s].
     memory_limit : float, optional
@@ -309,6 +311,7 @@ class Problem:
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
     isolated: Literal["auto", True, False] = "auto"
+    library_path: Sequence[str | Path] = ()
     step_timeout: float | None = None
     case_timeout: float | None = None
     memory_limit: float | None = None

@@ -25,7 +25,7 @@ from ddpc_cosim.loop.safe_calls import (
     set_plant_parameters,
     step_plant,
 )
-from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant, library_path_faults
 from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
 from ddpc_cosim.processes.scratch import scratch_of_cases
 from ddpc_cosim.variables import (
@@ -40,6 +40,7 @@ from fmu_plants.files import is_file
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:
+    from ddpc_cosim.fmu.companions import Companions
     from ddpc_cosim.fmu.description import FMUDescription
     from ddpc_cosim.study.file_format.sections import PartSection, PlantSection
 
@@ -76,6 +77,8 @@ class PlantSpec:
     isolation : mapping of str to object
         How the FMU, a part, lives in a process of its own within that of the case: further arguments of
         :class:`FMUPlant`.
+    library_path : tuple of str
+        Libraries that FMUs need, and folders of such; once it is :meth:`built`, those that are loaded.
     """
 
     name: str
@@ -90,6 +93,7 @@ class PlantSpec:
     switches: Mapping[str, str] = field(default_factory=dict)
     coupled: CoupledSpec | None = None
     isolation: Mapping[str, Any] = field(default_factory=dict)
+    library_path: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, section: "PlantSection", folder: Path) -> Self:
@@ -115,6 +119,7 @@ class PlantSpec:
             nominal=section.nominal,
             start=section.start,
             coupled=_coupled(section) if section.ssp or section.parts else None,
+            library_path=tuple(section.library_path) if section.fmu else (),
         )
         # The project's own C code is trusted; what a supplied FMU does is not known.
         isolated = spec.is_supplied if section.isolated == "auto" else section.isolated
@@ -138,6 +143,8 @@ class PlantSpec:
             raise ConfigError(f'plant "{self.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
         if (self.isolated or self.isolation) and not (self.is_fmu or self.coupled):
             raise ConfigError(f'plant "{self.name}" is a Python class; only FMUs can be isolated')
+        if faults := library_path_faults(self.library_path):
+            raise ConfigError(faults)
         return self
 
     @property
@@ -153,9 +160,9 @@ class PlantSpec:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Paths of its FMUs."""
+        """Paths of its FMUs, and of the libraries that these need."""
         if self.coupled is None:
-            return (self.fmu,) if self.fmu else ()
+            return (self.fmu, *self.library_path) if self.fmu else ()
         return tuple(path for part in self.coupled.parts.values() for path in part.files)
 
     @property
@@ -185,9 +192,10 @@ class PlantSpec:
         return replace(self, isolation=how if self.fmu else {}, coupled=coupled)
 
     def moved(self, place: Callable[[str], str]) -> Self:
-        """Return the plant with its FMUs elsewhere: at ``place(path)``."""
+        """Return the plant with its files elsewhere: at ``place(path)``."""
         if self.coupled is None:
-            return replace(self, name=place(self.name), fmu=place(self.fmu))
+            libraries = tuple(map(place, self.library_path))
+            return replace(self, name=place(self.name), fmu=place(self.fmu), library_path=libraries)
         parts = {name: part.moved(place) for name, part in self.coupled.parts.items()}
         return replace(self, coupled=replace(self.coupled, parts=parts))
 
@@ -230,28 +238,33 @@ class PlantSpec:
                 named = shown_name(self.name)
             content = f"{named} {hash_of_code(self.name, plugin)}"
             return replace(self, content=content + self._shown())
-        if self.fmu:
-            self._check_library()
+        companions = self._check_library() if self.fmu else None
         fmu = Path(self.fmu) if self.fmu else _build(self._plugin()).resolve()
         kind = "" if self.fmi_type == "auto" else f" {self.fmi_type}"
         content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._shown()
-        return replace(self, fmu=str(fmu), content=content)
+        if companions is None:
+            return replace(self, fmu=str(fmu), content=content)
+        content += "".join(f" {library} {what}" for library, what in companions.identity.items())
+        libraries = tuple(map(str, companions.given))
+        return replace(self, fmu=str(fmu), content=content, library_path=libraries)
 
-    def _check_library(self) -> None:
+    def _check_library(self) -> "Companions":
         """Check that a supplied FMU has a library for this platform, and can be unpacked by a case.
 
-        Nothing of it is loaded.
+        Nothing of it is loaded; what is going to be loaded with it is returned.
         """
         from ddpc_cosim.fmu.archive import require_short_paths
         from ddpc_cosim.fmu.plant import FMUPlant
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", CosimWarning)
-            with FMUPlant(self.fmu, fmi_type=self.fmi_type) as plant:
+            with FMUPlant(self.fmu, fmi_type=self.fmi_type, library_path=self.library_path) as plant:
+                companions = plant.companions
                 library_warnings = [text for text in plant.warnings if text not in plant.description.warnings]
         require_short_paths(Path(self.fmu), scratch_of_cases())
         for text in library_warnings:  # the others were told when the study was read
             warnings.warn(f"{Path(self.fmu).name}: {text}", CosimWarning, stacklevel=3)
+        return companions
 
     def _shown(self) -> str:
         """Return what the study says of units, nominal and start values, and switches: they decide too."""
@@ -292,6 +305,7 @@ class PlantSpec:
                 display_units=units,
                 start=self.start,
                 trace_calls=self.trace_calls or None,
+                library_path=self.library_path,
                 **self.isolation,
             )
 
@@ -342,6 +356,11 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     for name, part_section in given.items():
         parameters |= {f"{name}.{key}": value for key, value in part_section.parameters.items()}
     options |= {"steps": steps} if steps else {}
+    libraries = tuple(section.library_path)
+    parts = {
+        name: replace(part, library_path=libraries)._checked() if part.fmu else part
+        for name, part in parts.items()
+    }
     return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment, understood)
 
 

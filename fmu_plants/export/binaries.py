@@ -5,7 +5,7 @@ its code: which functions it exports and which libraries it needs is read from i
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ _UNIVERSAL_MAGIC = 0xCAFEBABE
 _UNIVERSAL_HEADER = struct.Struct(">2I")  # magic, number of libraries
 _UNIVERSAL_ENTRY = struct.Struct(">5I")  # processor type, subtype, offset, size, log2(alignment)
 _PROCESSOR = struct.Struct("<2I")  # of a single library, after its magic number
+_MOST_VERSIONS, _LONGEST_NAME = 1 << 14, 255
 _ALIGNMENT = 14  # the pages of arm64 have 16 KiB; those of x86-64 are smaller
 
 
@@ -63,7 +64,7 @@ def is_cut_off(library: bytes) -> bool:
         return False
     try:
         segments = _elf_table(library, 0x20, 0x36, "<2I5Q")
-    except struct.error:
+    except (struct.error, OverflowError):
         return True
     return any(s[0] == loaded_segment and s[2] + s[5] > len(library) for s in segments)
 
@@ -72,7 +73,7 @@ def is_cut_off(library: bytes) -> bool:
 def _damage_as_value_error() -> Iterator[None]:
     try:
         yield
-    except (struct.error, IndexError) as error:
+    except (struct.error, IndexError, OverflowError) as error:
         raise ValueError(f"the library is damaged: {error}") from error
 
 
@@ -113,6 +114,93 @@ def needed_libraries(library: bytes) -> Needs:
         libraries = [_text(library, names + value) for tag, value in entries if tag == needed]
         paths = [_text(library, names + value) for tag, value in entries if tag in run_paths]
     return Needs(libraries, [folder for path in paths for folder in path.split(":")])
+
+
+class WantedSymbol(NamedTuple):
+    """A function or variable that a library takes from others.
+
+    Parameters
+    ----------
+    name : str
+        Its name, of which the first 255 characters are read.
+    library, version : str
+        The library that must have it, and in which version of its interface; both are empty where the file
+        does not say.
+    """
+
+    name: str
+    library: str
+    version: str
+
+
+def wanted_symbols(library: bytes) -> frozenset[WantedSymbol]:
+    """Return what an ELF library takes from others and cannot do without.
+
+    Those of other formats, and of files without section headers, are not read. Source: System V ABI, symbol
+    table; Linux Standard Base, symbol versioning.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    dynamic_symbols, needed_versions, versions_of_symbols = 11, 0x6FFFFFFE, 0x6FFFFFFF
+    if not library.startswith(_ELF_MAGIC):
+        return frozenset()
+    with _damage_as_value_error():
+        # name, type, flags, address, offset, size, link
+        sections = _elf_table(library, 0x28, 0x3A, "<2I4QI")
+        of_kind = {section[1]: section for section in sections}
+        if dynamic_symbols not in of_kind:
+            return frozenset()
+        versions = dict[int, tuple[str, str]]()
+        if needed_versions in of_kind:
+            offset, link = of_kind[needed_versions][4], of_kind[needed_versions][6]
+            versions = dict(_needed_versions(library, offset, sections[link][4]))
+        _, _, _, _, offset, length, link = of_kind[dynamic_symbols]
+        numbers = of_kind[versions_of_symbols][4] if versions_of_symbols in of_kind else None
+        return frozenset(_undefined(library, offset, length, sections[link][4], numbers, versions))
+
+
+def _undefined(
+    content: bytes,
+    offset: int,
+    length: int,
+    names: int,
+    numbers: int | None,
+    versions: Mapping[int, tuple[str, str]],
+) -> Iterator[WantedSymbol]:
+    undefined, hidden, weak = 0, 0x8000, 2
+    for index in range(1, length // 24):  # the first is none
+        name, info, _, section = struct.unpack_from("<I2BH", content, offset + 24 * index)
+        if section == undefined and name and info >> 4 != weak:
+            number = 0 if numbers is None else struct.unpack_from("<H", content, numbers + 2 * index)[0]
+            yield WantedSymbol(_short_text(content, names + name), *versions.get(number & ~hidden, ("", "")))
+
+
+def _needed_versions(content: bytes, entry: int, names: int) -> Iterator[tuple[int, tuple[str, str]]]:
+    """Yield library and version by the number that symbols have; each entry says where the next one is."""
+    read = 0
+    while True:
+        _, count, file, first, following = struct.unpack_from("<2H3I", content, entry)
+        version = entry + first
+        for _ in range(count):
+            _, _, number, name, next_version = struct.unpack_from("<I2H2I", content, version)
+            yield number, (_short_text(content, names + file), _short_text(content, names + name))
+            version += next_version
+            read += 1
+            if read > _MOST_VERSIONS:
+                break
+        read += 1
+        if read > _MOST_VERSIONS:
+            raise IndexError(f"more than {_MOST_VERSIONS} versions")
+        if not following:
+            return
+        entry += following
+
+
+def _short_text(content: bytes, offset: int) -> str:
+    return content[offset : offset + _LONGEST_NAME].partition(b"\0")[0].decode("utf-8", errors="replace")
 
 
 def _elf_table(content: bytes, place: int, sizes: int, entry: str) -> list[tuple[int, ...]]:

@@ -72,6 +72,7 @@ def simulate(
         show_default=True,
     ),
     fmi_type: Literal["auto", "co-simulation", "model-exchange"] = option("auto", show_default=True),
+    library_path: tuple[Path, ...] = options.LIBRARY_PATH,
     step_timeout: float = options.STEP_TIMEOUT,
     trace_calls: Path | None = option(
         None, "Write every FMI call with its arguments, status and results.", metavar="FILE"
@@ -133,6 +134,7 @@ def simulate(
             step=step,
             outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,
             fmi_type=fmi_type,
+            library_path=[str(path.absolute()) for path in library_path],
             step_timeout=step_timeout,
             trace_calls=str(trace_calls or ""),
             golden=files["compare"],

@@ -42,6 +42,7 @@ _FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
 _LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
+_NOT_NUMBERS = ("nan", "-nan", "+nan")
 _MOST_DIGITS = 20  # more are not a reference or size, and take long
 _INTEGER = re.compile(rf"\s*[+-]?\d{{1,{_MOST_DIGITS}}}\s*")
 _AS_GOOD_AS_INFINITE = 1e30
@@ -379,6 +380,8 @@ class VariableReader:
         values = entry.start.split()
         if len(values) == 1 and meaning.type.is_number:
             return noted_number(self.note, entry.name, "start", values[0], 0.0)
+        if meaning.type.is_number and any(text.lower() in _NOT_NUMBERS for text in values):
+            self.note(defects.NOT_A_NUMBER, f'{entry.name}: start has an element "NaN"')
         return number(values[0] if values else None, 0.0)
 
     def _bound(self, entry: _Entry, which: str, text: str | None, meaning: _Meaning) -> float:
@@ -435,10 +438,13 @@ def noted_number(note: Note, where: str, attribute: str, written: str | None, de
     try:
         value = float(written)
     except ValueError:
-        if not is_number(written):
-            note(defects.NOT_A_NUMBER, f'{where}: {attribute} = "{written}"')
-        return number(written, default)
-    return default if math.isnan(value) else value
+        if is_number(written):  # a boolean
+            return number(written, default)
+        value = math.nan
+    if not math.isnan(value):
+        return value
+    note(defects.NOT_A_NUMBER, f'{where}: {attribute} = "{written}"')
+    return number(written, default)
 
 
 def integer(text: str | None) -> int | None:

@@ -244,6 +244,12 @@ class PlantSection(Section):
     isolated: Literal["auto", True, False] = setting(
         "auto", doc="run each case in a process of its own; auto: if the FMU is a supplied file"
     )
+    library_path: list[str] = setting(
+        [],
+        doc="libraries that are loaded before the FMU's, and folders that have those which it needs, on "
+        "Linux; relative to the study file",
+        file=True,
+    )
     moved: ClassVar[Mapping[str, str]] = {"step_timeout": "loop.step_timeout"}
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
@@ -258,6 +264,8 @@ class PlantSection(Section):
             yield "connections", "must not be given: the SSP has them" if self.ssp else "needs parts"
         if self.coupling is not None and not is_coupled:
             yield "coupling", "needs parts or ssp"
+        if self.library_path and not (is_coupled or self.fmu):
+            yield "library_path", "needs an FMU"
         if is_coupled and self.fmi_type != "auto":
             yield "fmi_type", "must be said for each part"
         names = [part.name for part in self.parts]

@@ -448,6 +448,9 @@ def test_a_state_is_that_of_all_parts_and_of_the_whole(exported: Exported, isola
         plant.reset()
         with pytest.raises(ConfigError, match="not one of this run"):
             plant.restore_state(old)
+        assert not plant.can_serialise_state
+        with pytest.raises(ConfigError, match=r'monolithic" cannot be saved as bytes; choose "sequential"'):
+            plant.serialise_state()
 
 
 class TestContract(PlantConformance):

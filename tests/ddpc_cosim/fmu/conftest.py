@@ -11,7 +11,7 @@ from fmu_plants import export_fmu
 from fmu_plants.pendulum import MODEL
 
 # How libraries find others is a matter of the loader.
-collect_ignore = [] if sys.platform.startswith("linux") else ["test_companions.py"]
+collect_ignore = [] if sys.platform.startswith("linux") else ["test_companions.py", "test_stand_ins.py"]
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,20 @@
 """Libraries that the FMU's library needs, on Linux, whose loader looks for them in the system alone."""
 
+import hashlib
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from fmus.builder import HERE, LAG, describe, platform_folder, write_fmu
 
-from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim import Outcome, Study, simulate
+from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants.export.binaries import needed_libraries
 from fmu_plants.export.compiler import find_compiler
 
@@ -87,6 +92,107 @@ def test_so_is_one_that_a_companion_needs(tmp_path: Path, chain: Chain) -> None:
     with pytest.raises(FMUImportError, match=f"its library needs {SECOND}"):
         session.reset()
     session.close()
+
+
+@pytest.fixture
+def libraries(tmp_path: Path, chain: Chain) -> Path:
+    folder = tmp_path / "libraries"
+    folder.mkdir()
+    (folder / FIRST).write_bytes(chain.first)
+    (folder / SECOND).write_bytes(chain.second)
+    (folder / "libunneeded.so").write_bytes(chain.second)
+    return folder
+
+
+def value_with(path: Path, *library_path: Path, isolated: bool = False) -> float:
+    how = {"inputs": ["u"], "outputs": ["x"], "library_path": library_path, "isolated": isolated}
+    with FMUPlant(path, **how) as plant:
+        plant.reset()
+        return float(plant.step(np.array([1.0]), 1.0)[0])
+
+
+def test_folders_and_files_of_a_study_are_looked_into(tmp_path: Path, chain: Chain, libraries: Path) -> None:
+    path = lag_fmu(tmp_path / "lag.fmu", chain.main)
+    for given in (
+        [libraries],
+        [libraries / SECOND, libraries / FIRST],
+        [libraries / FIRST, libraries / SECOND],
+    ):
+        assert inspect_fmu(path, library_path=given).can_run
+        assert value_with(path, *given) == pytest.approx(0.6321206, abs=1e-5)
+    assert value_with(path, libraries, isolated=True) == pytest.approx(0.6321206, abs=1e-5)
+    (libraries / SECOND).unlink()
+    with pytest.raises(FMUImportError, match=f"its library needs {SECOND}"):
+        value_with(path, libraries)
+
+
+def test_what_is_loaded_of_them_decides_a_cases_id(tmp_path: Path, chain: Chain, libraries: Path) -> None:
+    path = lag_fmu(tmp_path / "lag.fmu", chain.main)
+    spec = PlantSpec("", str(path), library_path=(str(libraries),))
+    built, hashed = spec.built(), hashlib.sha256(path.read_bytes()).hexdigest()
+    assert built.files == (str(path), str(libraries / FIRST), str(libraries / SECOND))
+    hashes = [f"{n} {hashlib.sha256((libraries / n).read_bytes()).hexdigest()}" for n in (FIRST, SECOND)]
+    assert built.content == f"{hashed} {' '.join(hashes)}"
+    (libraries / "libunneeded.so").write_bytes(b"")
+    elsewhere = libraries.rename(tmp_path / "elsewhere")
+    assert replace(spec, library_path=(str(elsewhere),)).built().content == built.content
+    with (elsewhere / SECOND).open("ab") as file:
+        file.write(b"\0")
+    assert replace(spec, library_path=(str(elsewhere),)).built().content != built.content
+    assert PlantSpec("", str(path)).built().content == hashed
+
+
+def test_one_without_a_name_that_is_needed_serves_too(tmp_path: Path, libraries: Path) -> None:
+    """Some tools forget to link what is called; without a library that has it, the FMU cannot be loaded."""
+    (tmp_path / "main.c").write_text(
+        "int second(void); int call(void) { return second(); }", encoding="utf-8"
+    )
+    models = [str(HERE / name) for name in ("models.c", "front2.c")]
+    flags = ["-shared", "-fPIC", "-Wl,-Bsymbolic"]
+    find_compiler().run([*flags, "-o", "main.so", "main.c", *models, "-lm"], tmp_path)
+    path = lag_fmu(tmp_path / "lag.fmu", (tmp_path / "main.so").read_bytes())
+    assert value_with(path, libraries / SECOND) == pytest.approx(0.6321206, abs=1e-5)
+    with pytest.raises(FMUImportError, match="undefined symbol: second"):
+        value_with(path, libraries)
+
+
+def test_places_that_are_not_there_are_all_told(tmp_path: Path, chain: Chain) -> None:
+    path = lag_fmu(tmp_path / "lag.fmu", chain.main)
+    with pytest.raises(ConfigError) as error:
+        FMUPlant(path, library_path=[tmp_path / "a", tmp_path / "b"])
+    assert list(error.value.faults) == [
+        f"library_path: {tmp_path / name}: no such library or folder" for name in "ab"
+    ]
+
+
+STUDY = """
+[plant]
+fmu = "lag.fmu"
+inputs = ["u"]
+outputs = ["x"]
+library_path = ["libraries"]
+[loop]
+sampling_time = 0.1
+duration = 0.5
+[reference.x]
+kind = "constant"
+value = 0.5
+[controllers.pid]
+type = "pid"
+settings = { proportional = 1.0, integral = 1.0 }
+"""
+
+
+def test_a_study_names_them_beside_itself(tmp_path: Path, chain: Chain, libraries: Path) -> None:
+    lag_fmu(tmp_path / "lag.fmu", chain.main)
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    results = Study.read(tmp_path / "study.toml").run(tmp_path / "results", jobs=1, progress=False)
+    (case,) = (case for case in results.cases if case.controller == "pid")
+    trace = case.trace()
+    assert trace.outcome is Outcome.COMPLETED
+    assert f"{FIRST}: {hashlib.sha256(chain.first).hexdigest()}" in trace.provenance["fmu_libraries"]
+    frame = simulate(tmp_path / "lag.fmu", stop=1.0, step=0.5, library_path=[libraries])
+    assert len(frame) == 3
 
 
 def test_an_inspection_tells_before_it_is_loaded(tmp_path: Path, chain: Chain) -> None:

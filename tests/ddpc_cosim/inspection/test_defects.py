@@ -53,6 +53,13 @@ DESCRIPTIONS = [
     ("unknown-unit", "torque [Nm]", FMI2, (TORQUE_2, '<Real unit="Nm" start="0.0" />')),
     ("unknown-display-unit", "angle: grad for rad", FMI2, ('displayUnit="deg" ', 'displayUnit="grad" ')),
     ("not-a-number", 'torque: start = "zero"', FMI2, (TORQUE_2, '<Real unit="N.m" start="zero" />')),
+    ("not-a-number", 'torque: start = "NaN"', FMI2, (TORQUE_2, '<Real unit="N.m" start="NaN" />')),
+    (
+        "not-a-number",
+        'torque: start has an element "NaN"',
+        FMI3,
+        (TORQUE_3, TORQUE_3.replace('"0.0" />', '"0 NaN"><Dimension start="2"/></Float64>')),
+    ),
     ("empty-range", "torque: 1 > -1", FMI2, (TORQUE_2, '<Real unit="N.m" min="1" max="-1" start="0" />')),
     (
         "start-outside-range",

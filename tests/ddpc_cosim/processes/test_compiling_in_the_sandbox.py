@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from fmus.builder import CO_SIMULATION, GAINED, LAG, Fault, describe, model_library, write_archive, write_fmu
+from fmus.fortran import OLD, USUAL, link
 from studies import study_text, write
 
 from ddpc_cosim import FMUImportError, FMUPlant, load_results
@@ -61,6 +62,27 @@ def holds_secret(folder: Path) -> bool:
 
 def run(*arguments: str) -> Result:
     return CliRunner().invoke(main, arguments)
+
+
+@pytest.mark.filterwarnings("ignore:.*a stand-in was compiled")
+def test_a_stand_in_for_an_old_library_is_compiled_before(tmp_path: Path, cache: Path) -> None:
+    """In a session, and in the cases of a study, whose processes can write none into the cache."""
+    path = write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", LAG), link(tmp_path, USUAL))
+    with FMUPlant(path, inputs=["u"], outputs=["x"], isolated=True, sandbox=True) as plant:
+        plant.reset()
+        assert plant.step(np.array([1.0]), 1.0)[0] == pytest.approx(1 - np.exp(-1.0), abs=1e-5)
+    for file in cache.rglob(f"{OLD}*"):
+        file.unlink()
+    result = run("run", "study.toml", "--out", "results", "--sandbox", "--no-report")
+    assert result.exit_code == 0, result.output
+    assert all(case.outcome == "completed" for case in load_results(Path("results")).cases)
+
+
+@pytest.mark.filterwarnings(COMPILED)
+def test_an_inspection_compiles_them_in_it(tmp_path: Path, cache: Path, secret: Path) -> None:
+    result = run("inspect", str(fmu_of_sources(tmp_path, including(secret))))
+    assert (result.exit_code, "uncompiled" in result.output) == (1, True)
+    assert not holds_secret(cache)
 
 
 @pytest.mark.filterwarnings(COMPILED)

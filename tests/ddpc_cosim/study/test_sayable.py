@@ -258,6 +258,7 @@ PROBLEMS = {
         inputs=["a", "b", "c", "d", "e"],
         outputs=["y"],
         fmi_type="model-exchange",
+        library_path=[Path("libraries")],
         switches={"a": "a_on"},
         excitation=EXPERIMENT,
         recorded_inputs={"w": SIGNALS["steps"]},
