@@ -1,8 +1,8 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from time import monotonic
 
@@ -16,6 +16,8 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds
 from ddpc_cosim.suggestion.request import Request
+from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.roles import Roles, usual_range, without
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
 from ddpc_cosim.variables import FloatArray, Variable
@@ -49,6 +51,17 @@ class TriedPoint:
     tested: StepTest
     choice: Choice
     remarks: tuple[str, ...] = ()
+    disturbances: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def lively(self) -> int:
+        """How many inputs that may be driven move an output."""
+        columns = zip(self.inputs, zip(*self.tested.responses, strict=True), strict=True)
+        return sum(
+            variable.name not in self.disturbances
+            and any(r.type is not ResponseType.INSENSITIVE for r in column)
+            for variable, column in columns
+        )
 
     @property
     def influence(self) -> float:
@@ -57,7 +70,11 @@ class TriedPoint:
 
 
 def find(
-    open_plant: Callable[..., TestedPlant], description: Declarations, request: Request, timing: Timing
+    open_plant: Callable[..., TestedPlant],
+    description: Declarations,
+    request: Request,
+    timing: Timing,
+    roles: Roles,
 ) -> TriedPoint:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -69,6 +86,8 @@ def find(
         What it says about itself.
     request, timing
         What is asked for, and what is known about time.
+    roles : Roles
+        What its inputs are for.
 
     Raises
     ------
@@ -81,7 +100,8 @@ def find(
     usual = _usual_levels(every, given, request.ranges)
     remarks = _remarks_on(usual, every)
     parameters = request.parameters(description)
-    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
+    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing, roles)
+    at_start = _switched_on(at_start, open_plant, parameters, ends, roles, given)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
@@ -97,12 +117,40 @@ def find(
         if not remark:
             continue
         try:
-            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
+            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left), roles)
         except CosimError:  # it does not run there
             continue
         if point.influence > _BETTER * best.influence:
             best = replace(point, remarks=(*remarks, remark, *point.remarks))
     return best
+
+
+def _switched_on(
+    point: TriedPoint,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+    given: Collection[str],
+) -> TriedPoint:
+    """Return the point with what switches the plant on at 1, if more inputs do something then."""
+    levels = {name: level for name, level in roles.enabling.items() if name not in given}
+    left = ends - monotonic()
+    may_drive = sum(variable.name not in roles.disturbances for variable in point.inputs)
+    if not levels or left < _LEAST_TIME or point.lively >= may_drive:
+        return point
+    start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
+    try:
+        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles)
+    except CosimError:  # it does not run so
+        return point
+    if on.lively <= point.lively:
+        return point
+    said = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
+    remark = (
+        f"{said}: switched on, as more of the inputs do something then; --at {next(iter(levels))}=0 if not"
+    )
+    return replace(on, remarks=(remark, *on.remarks))
 
 
 def _at(
@@ -112,22 +160,24 @@ def _at(
     parameters: Mapping[str, ParameterValue],
     request: Request,
     timing: Timing,
+    roles: Roles,
 ) -> TriedPoint:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
         bounds = bounds or design.input_bounds(
-            plant.inputs, request.ranges, _parameters(plant.description, parameters)
+            plant.inputs,
+            _usual_ranges(plant.inputs, roles) | {**request.ranges},
+            _parameters(plant.description, parameters),
         )
         rest, room = design.rest_and_room(plant.inputs, bounds)
         resting = Resting(rest, room, parameters)
         tested = step_test(plant, resting, timing)
-        choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
-        remarks: tuple[str, ...] = ()
+        choice, remarks = _chosen(plant.inputs, tested, room, timing, request, roles)
         if choice.inputs:
             sample = sampling_time_of(tested, choice, timing, request)
             share = dependence_on_step_size(plant, resting, tested, sample)
             if share > _DEPENDS:
-                remarks = (
+                remarks += (
                     f"The FMU's result depends on the communication step size: with {sample:g} s and with "
                     f"{sample / 2:g} s its outputs differ by {share:.0%} of what they move by. What is said "
                     f"here holds for steps of {sample:g} s; --sampling-time H for others",
@@ -135,7 +185,8 @@ def _at(
                 request = replace(request, sampling_time=sample)
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
-                choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
+                choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
+        driven = {plant.inputs[i].name for i in choice.inputs}
         return TriedPoint(
             plant.inputs,
             plant.outputs,
@@ -149,7 +200,36 @@ def _at(
             tested,
             choice,
             remarks,
+            {name: why for name, why in roles.disturbances.items() if name not in driven},
         )
+
+
+def _usual_ranges(inputs: Iterable[Variable], roles: Roles) -> dict[str, tuple[float, float]]:
+    """Return between what values disturbances lie, as far as their units tell."""
+    acting = (variable for variable in inputs if variable.name in roles.disturbances)
+    return {v.name: limits for v in acting if (limits := usual_range(v)) is not None}
+
+
+def _chosen(
+    inputs: Sequence[Variable],
+    tested: StepTest,
+    room: FloatArray,
+    timing: Timing,
+    request: Request,
+    roles: Roles,
+) -> tuple[Choice, tuple[str, ...]]:
+    """Return the choice without what looks like a disturbance; with it if nothing else moves an output."""
+    suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
+    responses, less_room = without(tested, room, suspects)
+    all_outputs = request.outputs is not None
+    choice = choose(replace(tested, responses=responses), less_room, timing.guess, all_outputs=all_outputs)
+    if choice.inputs or not suspects:
+        return choice, ()
+    choice = choose(tested, room, timing.guess, all_outputs=all_outputs)
+    driven = [inputs[i].name for i in choice.inputs]
+    whys = (f"{name} ({roles.disturbances[name]})" for name in driven)
+    remark = f"Driven though they look like disturbances, as nothing else moves an output: {', '.join(whys)}"
+    return choice, (remark,) if driven else ()
 
 
 def _parameters(description: Declarations, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:

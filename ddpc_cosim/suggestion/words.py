@@ -1,0 +1,234 @@
+"""What the words and the unit of a signal usually stand for: its name, however spelt, and its description."""
+
+import re
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+from ddpc_cosim.variables import Variable
+from fmu_plants.units import parse_unit
+
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[A-Z]")
+_MOST_WORDS = 10  # of a description: what comes later is seldom about what the signal is
+
+
+def words_of(text: str) -> tuple[str, ...]:
+    """Return the words of a name or a sentence in lower case: ``TOutdoor_air.y2`` is t, outdoor, air, y."""
+    return tuple(word.lower() for word in _WORD.findall(text))
+
+
+def listed(names: Iterable[str], most: int, what: str) -> str:
+    """Return names with commas between them; of more than so many the first, and how many there are.
+
+    Parameters
+    ----------
+    names : iterable of str
+        All of them.
+    most : int
+        How many are shown.
+    what : str
+        What they are, in the plural, for ``12 of 104 inputs shown``.
+    """
+    every = [*names]
+    cut = f" ({most} of {len(every)} {what} shown)" if len(every) > most else ""
+    return ", ".join(every[:most]) + cut
+
+
+def exponents_of(unit: str) -> Mapping[str, int] | None:
+    """Return the exponents of the SI base units in a unit; None for one that is not known, or for none."""
+    try:
+        return parse_unit(unit).exponents if unit else None
+    except ValueError:
+        return None
+
+
+def _set(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+SURROUNDINGS = _set(
+    "ambient amb ambience tamb outdoor outdoors outside exterior weather wea meteo solar sun sunlight "
+    "irradiance irradiation insolation sunshine qsol qsolar isol ghi dni dhi hglohor hdirnor hdifhor glohor "
+    "dirnor difhor drybul drybulb wetbul tout toa oat wind winds winspe windir gust rain rainfall "
+    "precipitation cloud clouds cloudiness sky climate occupancy occupants occupant people persons "
+    "disturbance disturbances perturbation disturb dist atmosphere atmospheric surrounding surroundings "
+    "environment environmental env season road terrain wave waves bump umgebung aussen wetter"
+)
+"""What the weather does, the ground, and people: no actuator is named so."""
+SUPPLIED = _set(
+    "load loads feed influent inflow inlet incoming upstream demand consumption drawoff tapping usage gains "
+    "external extern ext ground soil slope grade incline gradient traffic leak leakage friction tin thead "
+    "backpressure downstream uncontrolled"
+)
+"""What others bring to a plant or take from it, which may be what one drives."""
+_CARRIED = _set("torque force moment power current heat thermal cooling heating flow mass weight resistance")
+"""Beside ``load``: what it weighs on a plant with."""
+_CONSUMED = _set("heat water power electric electrical electricity hot energy flow steam gas building")
+_WANTED = _set("torque force speed position current pressure throttle thrust brake")
+"""Beside ``demand``: what is consumed, and what a driver wants."""
+DEVICES = _set(
+    "valve pump fan heater damper motor actuator throttle pitch rudder aileron elevator boiler chiller "
+    "compressor inverter converter burner injector blower shutter blind blinds vent louver thruster nozzle "
+    "command commanded cmd control controlled ctrl controller setpoint setpt sp opening duty pwm manipulated "
+    "steering override ove reflux boilup reboiler coolant jacket switch"
+)
+"""What can be moved, and what one calls what moves it: also where it is a solar pump."""
+_USUALLY_DRIVEN = DEVICES | _set("set heating cooling supply rate speed voltage pedal brake gate steam ratio")
+"""Words beside which ``feed`` and ``load`` say nothing."""
+_ACTUATED = [
+    {"kg": 1, "m": 2, "s": -3},  # W
+    {"kg": 1, "m": 2, "s": -3, "A": -1},  # V
+    {"A": 1},
+    {"kg": 1, "m": 1, "s": -2},  # N
+    {"kg": 1, "m": 2, "s": -2},  # N.m
+    {"m": 3, "s": -1},
+    {"kg": 1, "s": -1},
+    {"mol": 1, "s": -1},
+]
+_IRRADIANCE, _TEMPERATURE = {"kg": 1, "s": -3}, {"K": 1}
+_CONCENTRATIONS = [{"mol": 1, "m": -3}, {"kg": 1, "m": -3}]
+CERTAIN, LIKELY = 3, 2
+"""How much speaks for a disturbance: whatever else there is, and where something else can be driven."""
+
+
+class Wording:
+    """The words of a signal: those of its name and its description, and of neighbours written as one.
+
+    Parameters
+    ----------
+    variable : Variable
+        The signal.
+    """
+
+    def __init__(self, variable: Variable) -> None:
+        self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
+        self.is_share = variable.min == 0.0 and variable.max in (1.0, 100.0)
+        in_order = words_of(variable.name)
+        self.last = in_order[-1] if in_order else ""
+        # `T_out` is no more than `Tout`, and `dry_bul` than `drybul`.
+        self.name = frozenset(in_order) | {first + second for first, second in pairwise(in_order)}
+        self.text = frozenset(words_of(variable.description)[:_MOST_WORDS])
+        self.all = self.name | self.text
+
+    @property
+    def is_temperature(self) -> bool:
+        """Whether its unit is that of a temperature."""
+        return self.exponents == _TEMPERATURE
+
+    @property
+    def is_irradiance(self) -> bool:
+        """Whether its unit is that of an irradiance."""
+        return self.exponents == _IRRADIANCE
+
+    @property
+    def looks_driven(self) -> bool:
+        """Whether anything says that it is an actuator: a word, its unit or a range from 0 to 1."""
+        return bool(self.all & DEVICES) or self.exponents in _ACTUATED or self.is_share
+
+    def disturbance(self) -> tuple[int, tuple[str, ...]]:
+        """Return how much speaks for a disturbance, and what does."""
+        if self.name & DEVICES:
+            return 0, ()
+        points, reasons = 0, list[str]()
+        for words, where in ((self.name, "name"), (self.text, "description")):
+            if words & DEVICES:
+                continue
+            certain = words & SURROUNDINGS or self._weighs(words)
+            likely = frozenset() if self.name & _USUALLY_DRIVEN else _supplied(words)
+            said = certain or likely
+            if said and not any(reason.endswith(f' "{min(said)}"') for reason in reasons):
+                points = max(points, CERTAIN if certain else LIKELY)
+                reasons.append(f'its {where} says "{min(said)}"')
+        of_unit = self._unit_points()
+        return points + of_unit, (*reasons, *([f"its unit is {self.unit}"] if of_unit else []))
+
+    @staticmethod
+    def _weighs(words: frozenset[str]) -> frozenset[str]:
+        """Return the word for a load that weighs on the plant, or a demand that is met."""
+        is_load = bool(words & {"load", "loads"} and words & _CARRIED)
+        is_demand = bool(words & {"demand", "consumption"} and words & _CONSUMED)
+        return (
+            words & {"load", "loads"}
+            if is_load
+            else words & {"demand", "consumption"}
+            if is_demand
+            else frozenset()
+        )
+
+    def _unit_points(self) -> int:
+        if self.all & _USUALLY_DRIVEN:
+            return 0
+        if self.is_irradiance or self.unit in ("lx", "lux"):
+            return CERTAIN
+        return LIKELY if self.exponents in _CONCENTRATIONS else 1 if self.is_temperature else 0
+
+
+def _supplied(words: frozenset[str]) -> frozenset[str]:
+    return words & SUPPLIED - {"demand"} if words & _WANTED else words & SUPPLIED
+
+
+_ENABLING = _set(
+    "on enable enabled enabling activate activated active activation running run avail available"
+)
+_STOPPING = _set(
+    "off reset stop fault faulty failure fail failed alarm trip tripped disable disabled emergency lock "
+    "locked freeze frozen hold bypass inhibit block blocked shutdown halt error clear estop"
+)
+
+
+def enables(wording: Wording) -> bool:
+    """Whether a signal that is 0 or 1 is called what switches something on."""
+    return bool(wording.all & _ENABLING) and not stops(wording)
+
+
+def stops(wording: Wording) -> bool:
+    """Whether a signal that is 0 or 1 is called what stops something: it is left alone."""
+    return bool(wording.name & _STOPPING)
+
+
+_SETPOINTS = _set("setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset r w")
+_MEASURED = _set("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym y m")
+_ERRORS = _set("error err e deviation")
+_COMMANDS = _set(
+    "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
+)
+
+
+def setpoint(wording: Wording) -> bool:
+    """Whether a signal is called what somebody wants."""
+    return bool(wording.all & _SETPOINTS)
+
+
+def measurement(wording: Wording) -> bool:
+    """Whether a signal is called what is measured."""
+    return bool(wording.all & _MEASURED)
+
+
+def control_error(wording: Wording) -> bool:
+    """Whether a signal is called a deviation from what is wanted."""
+    return bool(wording.name & _ERRORS or wording.text & {"error", "deviation"})
+
+
+def command(wording: Wording) -> bool:
+    """Whether a signal is called what a controller has to say."""
+    return bool(wording.all & _COMMANDS)
+
+
+_READ = _set(
+    "temperature temp level pressure position angle concentration composition ph height altitude speed "
+    "velocity humidity frequency quality measurement measured meas sensor rea reading room zone indoor"
+)
+_SPENT = _set(
+    "power energy cost price consumption work losses loss efficiency cop heat flux balance total cumulative "
+    "cmd command status mode flag setpoint set"
+)
+_INTERNAL = _set("internal debug der aux auxiliary dummy tmp state derivative residual error err log diag")
+
+
+def rank_of_output(variable: Variable) -> int:
+    """Return how late an output is tried as one to control: readings first, what goes on inside last."""
+    wording = Wording(variable)
+    if wording.name & _INTERNAL:
+        return 3
+    if wording.all & _SPENT or wording.all & SURROUNDINGS:
+        return 2
+    return 0 if wording.all & _READ or wording.is_temperature else 1
