@@ -30,6 +30,7 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.acting import Acting
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
+from ddpc_cosim.suggestion.joining import Joined, join
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
@@ -64,7 +65,7 @@ _LONGEST_IN_STOP_TIMES = 10.0
 
 
 def suggest_study(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -82,8 +83,8 @@ def suggest_study(
 
     Parameters
     ----------
-    path : str or Path
-        The FMU.
+    path : str or Path, or a sequence of them
+        The FMU, or an SSP archive; several FMUs become a coupled plant, whose connections are proposed.
     inputs, outputs : sequence of str, optional
         Signals to use; default: those that the step test shows to be of use.
     at : mapping of str to number or str, optional
@@ -111,22 +112,25 @@ def suggest_study(
     CosimError
         It cannot be loaded, or does not run.
     """
-    path = Path(path)
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
+    path, label = paths[0], " + ".join(file.name for file in paths)
+    joined = _joined(paths) if len(paths) > 1 else None
     with demanded(sandbox):
-        system = System(path) if path.suffix.lower() == ".ssp" else None
+        system = System(joined.section, joined.experiment) if joined else _archive(path)
         for file in system.files if system else (path,):
             compile_ahead(file, tell)
     deadline = monotonic() + budget
-    tell(f"reading {path.name}")
-    description, steps, title = (system.description, None, path.stem) if system else _runnable(path)
+    tell(f"reading {label}")
+    title = joined.title if joined else path.stem
+    description, steps, title = (system.description, None, title) if system else _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
-    request.check(description, path.name, steps)
+    request.check(description, label, steps)
     roles = _roles(description, request)
-    driven, drives_too = _candidates(description, path.name, request, "input", roles)
-    read, reads_too = _candidates(description, path.name, request, "output", roles)
+    driven, drives_too = _candidates(description, label, request, "input", roles)
+    read, reads_too = _candidates(description, label, request, "output", roles)
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
     timing = replace(_timing(description, request), budget=share * budget)
-    tell(f"step test of {path.name}")
+    tell(f"step test of {label}")
     overrides = {switch: 1.0 for name, switch in description.switches.items() if name in driven}
 
     def open_plant(start: Mapping[str, float]) -> TestedPlant:
@@ -143,7 +147,7 @@ def suggest_study(
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
         if system.refine(open_plant, point, sample):
-            tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
+            tell(f"step test of {label}, whose parts exchange values every {system.exchange:g} s")
             point = find(open_plant, description, request, timing, roles)
     if not point.choice.inputs:
         ends = zip(point.inputs, point.rest, point.rest + point.tested.steps, strict=True)
@@ -152,10 +156,10 @@ def suggest_study(
         tried = listed([*steps_tried, *drives_too], len(steps_tried), "inputs")
         early = f"; a run ended early: {point.tested.fault}" if point.tested.fault else ""
         raise CosimError(
-            f"{path.name}: no output responds to a step of an input (tried: {tried}); --range tries more, "
+            f"{label}: no output responds to a step of an input (tried: {tried}); --range tries more, "
             f"--input other inputs, --at another operating point, --output other outputs{early}"
         )
-    check_identified(path.name, point)
+    check_identified(label, point)
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
     plant = system.section(sample) if system else PlantSection(fmu=str(path.resolve()))
     plant = replace(plant, parameters=request.parameters(description))
@@ -163,20 +167,23 @@ def suggest_study(
     if trial:
         proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
     controller = controller_words(point.inputs, point.outputs, point.tested)
-    remarks = (*controller, *point.remarks, *(system.remarks if system else ()))
-    head = (*proposal.comments.get("head", ()), *remarks)
-    return replace(proposal, comments={**proposal.comments, "head": head})
+    of_system = (*(joined.remarks if joined else ()), *(system.remarks if system else ()))
+    head = (*proposal.comments.get("head", ()), *(() if system else controller), *point.remarks, *of_system)
+    reasons = joined.reasons if joined else ()
+    return replace(proposal, comments={**proposal.comments, "head": head}, reasons=reasons)
 
 
-def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
+def write_study(
+    proposal: Proposal, fmu: str | Path | Sequence[str | Path], out: str | Path, *, replace: bool = False
+) -> Path:
     """Write a suggested study, check it, and return its path.
 
     Parameters
     ----------
     proposal : Proposal
         The study.
-    fmu : str or Path
-        The FMU; the file names it relative to its own folder where it can.
+    fmu : str or Path, or a sequence of them
+        The FMU, or all of them; the file names them relative to its own folder where it can.
     out : str or Path
         The file.
     replace : bool
@@ -193,7 +200,8 @@ def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace
     if out.exists() and not replace:
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
     out.parent.mkdir(parents=True, exist_ok=True)
-    text = study_text(proposal, _relative(Path(fmu), out.parent))
+    fmus = [fmu] if isinstance(fmu, str | Path) else fmu
+    text = study_text(proposal, *(_relative(Path(file), out.parent) for file in fmus))
     with out.open("w", encoding="utf-8", newline="\n") as file:
         file.write(text)
     read_study(str(out))
@@ -205,6 +213,20 @@ def _relative(fmu: Path, folder: Path) -> str:
         return Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
     except ValueError:  # another drive
         return fmu.resolve().as_posix()
+
+
+def _archive(path: Path) -> System | None:
+    is_archive = path.suffix.lower() == ".ssp"
+    return System(PlantSection(ssp=str(path.resolve()))) if is_archive else None
+
+
+def _joined(paths: Sequence[Path]) -> Joined:
+    """Return several FMUs as one plant."""
+    if archives := [path.name for path in paths if path.suffix.lower() == ".ssp"]:
+        raise ConfigError(f"{', '.join(archives)}: an SSP is a system by itself; give it alone, or FMUs only")
+    runnable = [_runnable(path) for path in paths]
+    titles = [title for _, _, title in runnable]
+    return join(paths, [description for description, _, _ in runnable], " and ".join(dict.fromkeys(titles)))
 
 
 def _runnable(path: Path) -> tuple[PlantDescription, StepSizes, str]:

@@ -41,11 +41,12 @@ def exponents_of(unit: str) -> Mapping[str, int] | None:
         return None
 
 
-def _set(text: str) -> frozenset[str]:
+def vocabulary(text: str) -> frozenset[str]:
+    """Return the words that a text lists."""
     return frozenset(text.split())
 
 
-SURROUNDINGS = _set(
+SURROUNDINGS = vocabulary(
     "ambient amb ambience tamb outdoor outdoors outside exterior weather wea meteo solar sun sunlight "
     "irradiance irradiation insolation sunshine qsol qsolar isol ghi dni dhi hglohor hdirnor hdifhor glohor "
     "dirnor difhor drybul drybulb wetbul tout toa oat wind winds winspe windir gust rain rainfall "
@@ -54,25 +55,29 @@ SURROUNDINGS = _set(
     "environment environmental env season road terrain wave waves bump umgebung aussen wetter"
 )
 """What the weather does, the ground, and people: no actuator is named so."""
-SUPPLIED = _set(
+SUPPLIED = vocabulary(
     "load loads feed influent inflow inlet incoming upstream demand consumption drawoff tapping usage gains "
     "external extern ext ground soil slope grade incline gradient traffic leak leakage friction tin thead "
     "backpressure downstream uncontrolled"
 )
 """What others bring to a plant or take from it, which may be what one drives."""
-_CARRIED = _set("torque force moment power current heat thermal cooling heating flow mass weight resistance")
+_CARRIED = vocabulary(
+    "torque force moment power current heat thermal cooling heating flow mass weight resistance"
+)
 """Beside ``load``: what it weighs on a plant with."""
-_CONSUMED = _set("heat water power electric electrical electricity hot energy flow steam gas building")
-_WANTED = _set("torque force speed position current pressure throttle thrust brake")
+_CONSUMED = vocabulary("heat water power electric electrical electricity hot energy flow steam gas building")
+_WANTED = vocabulary("torque force speed position current pressure throttle thrust brake")
 """Beside ``demand``: what is consumed, and what a driver wants."""
-DEVICES = _set(
+DEVICES = vocabulary(
     "valve pump fan heater damper motor actuator throttle pitch rudder aileron elevator boiler chiller "
     "compressor inverter converter burner injector blower shutter blind blinds vent louver thruster nozzle "
     "command commanded cmd control controlled ctrl controller setpoint setpt sp opening duty pwm manipulated "
     "steering override ove reflux boilup reboiler coolant jacket switch"
 )
 """What can be moved, and what one calls what moves it: also where it is a solar pump."""
-_USUALLY_DRIVEN = DEVICES | _set("set heating cooling supply rate speed voltage pedal brake gate steam ratio")
+_USUALLY_DRIVEN = DEVICES | vocabulary(
+    "set heating cooling supply rate speed voltage pedal brake gate steam ratio"
+)
 """Words beside which ``feed`` and ``load`` say nothing."""
 _ACTUATED = [
     {"kg": 1, "m": 2, "s": -3},  # W
@@ -90,8 +95,13 @@ CERTAIN, LIKELY = 3, 2
 """How much speaks for a disturbance: whatever else there is, and where something else can be driven."""
 
 
+def _with_pairs(words: tuple[str, ...]) -> frozenset[str]:
+    """Return words and each two neighbours as one: `T_out` is no more than `Tout`."""
+    return frozenset(words) | {first + second for first, second in pairwise(words)}
+
+
 class Wording:
-    """The words of a signal: those of its name and its description, and of neighbours written as one.
+    """The words of a signal: of the last part of its name, of the path to it, and of its description.
 
     Parameters
     ----------
@@ -102,12 +112,11 @@ class Wording:
     def __init__(self, variable: Variable) -> None:
         self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
         self.is_share = variable.min == 0.0 and variable.max in (1.0, 100.0)
-        in_order = words_of(variable.name)
-        self.last = in_order[-1] if in_order else ""
-        # `T_out` is no more than `Tout`, and `dry_bul` than `drybul`.
-        self.name = frozenset(in_order) | {first + second for first, second in pairwise(in_order)}
+        path, _, last = variable.name.rpartition(".")
+        self.words = words_of(last)
+        self.name, self.path = _with_pairs(self.words), _with_pairs(words_of(path))
         self.text = frozenset(words_of(variable.description)[:_MOST_WORDS])
-        self.all = self.name | self.text
+        self.all = self.name | self.path | self.text
 
     @property
     def is_temperature(self) -> bool:
@@ -129,7 +138,7 @@ class Wording:
         if self.name & DEVICES:
             return 0, ()
         points, reasons = 0, list[str]()
-        for words, where in ((self.name, "name"), (self.text, "description")):
+        for words, where in ((self.name, "name"), (self.path, "name"), (self.text, "description")):
             if words & DEVICES:
                 continue
             certain = words & SURROUNDINGS or self._weighs(words)
@@ -166,10 +175,10 @@ def _supplied(words: frozenset[str]) -> frozenset[str]:
     return words & SUPPLIED - {"demand"} if words & _WANTED else words & SUPPLIED
 
 
-_ENABLING = _set(
+_ENABLING = vocabulary(
     "on enable enabled enabling activate activated active activation running run avail available"
 )
-_STOPPING = _set(
+_STOPPING = vocabulary(
     "off reset stop fault faulty failure fail failed alarm trip tripped disable disabled emergency lock "
     "locked freeze frozen hold bypass inhibit block blocked shutdown halt error clear estop"
 )
@@ -185,10 +194,12 @@ def stops(wording: Wording) -> bool:
     return bool(wording.name & _STOPPING)
 
 
-_SETPOINTS = _set("setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset r w")
-_MEASURED = _set("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym y m")
-_ERRORS = _set("error err e deviation")
-_COMMANDS = _set(
+_SETPOINTS = vocabulary(
+    "setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset r w"
+)
+_MEASURED = vocabulary("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym y m")
+_ERRORS = vocabulary("error err e deviation")
+_COMMANDS = vocabulary(
     "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
 )
 
@@ -213,15 +224,17 @@ def command(wording: Wording) -> bool:
     return bool(wording.all & _COMMANDS)
 
 
-_READ = _set(
+_READ = vocabulary(
     "temperature temp level pressure position angle concentration composition ph height altitude speed "
     "velocity humidity frequency quality measurement measured meas sensor rea reading room zone indoor"
 )
-_SPENT = _set(
+_SPENT = vocabulary(
     "power energy cost price consumption work losses loss efficiency cop heat flux balance total cumulative "
     "cmd command status mode flag setpoint set"
 )
-_INTERNAL = _set("internal debug der aux auxiliary dummy tmp state derivative residual error err log diag")
+_INTERNAL = vocabulary(
+    "internal debug der aux auxiliary dummy tmp state derivative residual error err log diag"
+)
 
 
 def rank_of_output(variable: Variable) -> int:

@@ -46,6 +46,8 @@ class Proposal:
         Where the outputs rest.
     asked : Request
         What the user wants to have kept.
+    reasons : tuple of str
+        Why each connection of a coupled plant is proposed.
     """
 
     study: Study
@@ -58,6 +60,7 @@ class Proposal:
     gains: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     rest: FloatArray = field(default_factory=lambda: np.zeros(0))
     asked: Request = field(default_factory=Request)
+    reasons: tuple[str, ...] = ()
 
     def changed(self, **sections: Any) -> Self:
         """Return the proposal with other sections of the study, by their names."""
@@ -84,18 +87,23 @@ _OF_TABLES: dict[Place, str] = {
 }
 
 
-def study_text(proposal: Proposal, fmu: str) -> str:
+def study_text(proposal: Proposal, *fmus: str) -> str:
     """Return the study file.
 
     Parameters
     ----------
     proposal : Proposal
         What to write.
-    fmu : str
-        Path of the FMU as the file is to say it.
+    *fmus : str
+        Path of the FMU, or of each part's, as the file is to say it.
     """
     study = proposal.study
-    plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
+    if study.plant.parts:
+        parts = [replace(part, fmu=fmu) for part, fmu in zip(study.plant.parts, fmus, strict=True)]
+        plant = replace(study.plant, parts=parts)
+    else:
+        (fmu,) = fmus
+        plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
     said = {"title": study.title, "seeds": study.seeds}
     tables = said | write_in_short(replace(study, plant=plant))
     above: dict[Place, Sequence[str]] = {(key,): texts for key, texts in proposal.comments.items()}
@@ -115,6 +123,8 @@ def _remarks(proposal: Proposal) -> dict[Place, str]:
     for key in ("inputs", "outputs", "measurements"):
         signals: Sequence[Variable] = getattr(proposal, key)
         remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}
+    remarks |= {("plant", "connections", i): why for i, why in enumerate(proposal.reasons)}
+    remarks |= {("plant", "parts", i): "" for i in range(len(proposal.study.plant.parts))}
     remarks |= {("reference", name, "times"): "s" for name in proposal.study.reference or {}}
     remarks |= {("bounds", name): origin for name, origin in proposal.origins.items()}
     return remarks | {("recording", "excitation", v.name): _unit(v) for v in proposal.inputs}
