@@ -24,9 +24,26 @@ from fmu_plants.model import identifier
 
 _DIRECTIONS = vocabulary("in out inlet outlet input output inp outp u y from to meas measured act actual cmd")
 _SAME, _ALIKE, _SHARED, _BY_ROLE, _BY_UNIT = 5.0, 4.0, 2.5, 2.0, 1.0
+_PATH_TOO = 0.5
 _SURE = 4.0
+_BEGINNING = 3  # letters that say what a word is
 _UNIT_KNOWN = 0.5
 _LISTED = 8
+_ABBREVIATED = {
+    "f": "force",
+    "v": "velocity",
+    "w": "speed",
+    "t": "temperature",
+    "temp": "temperature",
+    "p": "pressure",
+    "q": "flow",
+    "i": "current",
+    "m": "mass",
+    "tau": "torque",
+    "h": "level",
+    "x": "position",
+    "phi": "angle",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +132,17 @@ def join(paths: Sequence[Path], descriptions: Sequence[PlantDescription], title:
         for v in _inputs(described)
         if f"{part}.{v.name}" not in connected
     ]
+    remarks = list[str]()
     if not free:
         weakest = min(fits, key=lambda fit: fit.points)
         fits.remove(weakest)
         free = [weakest.target]
+        remarks.append(
+            "Every input could be fed, which leaves nothing to drive. Left out for that: "
+            f"{weakest.source} -> {weakest.target} ({weakest.why})."
+        )
     doubted = [f"{fit.source} -> {fit.target} ({fit.why})" for fit in fits if fit.points < _SURE]
     sure = [f"{fit.source} -> {fit.target}" for fit in fits if fit.points >= _SURE]
-    remarks = []
     if sure:
         remarks.append(f"Connected by name and unit: {listed(sure, _LISTED, 'connections')}.")
     if doubted:
@@ -189,15 +210,17 @@ def _best_fits(parts: Mapping[str, PlantDescription]) -> Iterator[_Fit]:
 def _without_returns(fits: Sequence[_Fit]) -> list[_Fit]:
     """Return the fits without what leads back where the same leads on: of two tanks the second is last."""
     onward = {(_core_of(fit.source), *fit.ends) for fit in fits if fit.is_forward and fit.points < _SAME}
-    return [fit for fit in fits if fit.is_forward or (_core_of(fit.source), *fit.ends[::-1]) not in onward]
+    backward = {(core, target, source) for core, source, target in onward if core}
+    return [fit for fit in fits if fit.is_forward or (_core_of(fit.source), *fit.ends) not in backward]
 
 
 def _core_of(name: str) -> frozenset[str]:
-    return _core(Variable(name.partition(".")[2]))
+    return _core(Wording(Variable(name.partition(".")[2])))
 
 
-def _core(variable: Variable) -> frozenset[str]:
-    return frozenset(word for word in Wording(variable).words if word not in _DIRECTIONS)
+def _core(wording: Wording) -> frozenset[str]:
+    """Return what a name says besides where its signal goes."""
+    return frozenset(word for word in wording.labels if word not in _DIRECTIONS)
 
 
 def _fit(source: Variable, target: Variable, are_only_ones: bool) -> tuple[float, str]:
@@ -208,25 +231,46 @@ def _fit(source: Variable, target: Variable, are_only_ones: bool) -> tuple[float
     of_unit = _UNIT_KNOWN if None not in units else 0.0
     in_unit = f" and in {target.unit}" if of_unit else ""
     given, fed = Wording(source), Wording(target)
-    if given.words == fed.words:
+    if source.name.lower() == target.name.lower():
+        return _SAME + _PATH_TOO + of_unit, f"same name{in_unit}"
+    if given.labels == fed.labels:
         return _SAME + of_unit, f"same name{in_unit}"
     if setpoint(fed) and not (setpoint(given) or command(given)):
         return 0.0, ""
-    core, wanted = _core(source), _core(target)
+    core, wanted = _core(given), _core(fed)
     if core and core == wanted:
         return _ALIKE + of_unit, f"same name but for its direction{in_unit}"
-    shared = max(core & wanted, key=len, default="")
-    if len(shared) > 1:
-        return _SHARED + of_unit, f'both names say "{shared}"{in_unit}'
+    numbers = {word for word in core if word.isdigit()}, {word for word in wanted if word.isdigit()}
+    differ = bool(all(numbers) and numbers[0] != numbers[1])
+    shared = _shared(core - numbers[0], wanted - numbers[1])
+    if len(shared) > 1 or (shared and not (differ or fed.all & SURROUNDINGS)):
+        points = _BY_ROLE if differ else _SHARED
+        return points + of_unit, f"both names speak of {shared}{in_unit}"
     if fed.all & SURROUNDINGS:
         return 0.0, ""
     if are_only_ones and command(given) and fed.looks_driven:
         return _BY_ROLE + of_unit, f"a command to an actuator{in_unit}"
     if are_only_ones and measurement(fed):
         return _BY_ROLE + of_unit, f"what is measured{in_unit}"
-    if are_only_ones:
-        return _BY_UNIT + of_unit, f"the only ones in {target.unit}" if of_unit else "there are no others"
+    if are_only_ones and not core and not wanted:
+        return _BY_ROLE + of_unit, f"an output and an input without other names{in_unit}"
+    if are_only_ones and of_unit:
+        return _BY_UNIT + of_unit, f"the only ones in {target.unit}"
     return 0.0, ""
+
+
+def _shared(some: frozenset[str], others: frozenset[str]) -> str:
+    """Return the longest word that two names have in common, if only by its beginning or first letter."""
+    pairs = ((one, other) for one in some for other in others)
+    common = (
+        max(one, other, key=len)
+        for one, other in pairs
+        if (min(len(one), len(other)) >= _BEGINNING and (one.startswith(other) or other.startswith(one)))
+        or one == other
+        or other == _ABBREVIATED.get(one)
+        or one == _ABBREVIATED.get(other)
+    )
+    return max(common, key=lambda word: (len(word), word), default="")
 
 
 def _are_only_ones(

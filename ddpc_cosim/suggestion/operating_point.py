@@ -122,7 +122,24 @@ def find(
             continue
         if point.influence > _BETTER * best.influence:
             best = replace(point, remarks=(*remarks, remark, *point.remarks))
-    return best
+    if best.choice.inputs or not roles.disturbances:
+        return best
+    return _driving_suspects(best, open_plant, parameters, ends, roles)
+
+
+def _driving_suspects(
+    point: TriedPoint,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+) -> TriedPoint:
+    """Return the point with what looks like a disturbance driven, as nothing else does anything."""
+    timing = replace(point.timing, budget=max(ends - monotonic(), _LEAST_TIME))
+    everything = replace(roles, disturbances={})
+    point = _at(open_plant, point.start, point.bounds, parameters, point.request, timing, everything)
+    driven = [point.inputs[i].name for i in point.choice.inputs if point.inputs[i].name in roles.disturbances]
+    return replace(point, remarks=(*point.remarks, *_remark_on_suspects(driven, roles, "an output")))
 
 
 def _switched_on(
@@ -218,18 +235,33 @@ def _chosen(
     request: Request,
     roles: Roles,
 ) -> tuple[Choice, tuple[str, ...]]:
-    """Return the choice without what looks like a disturbance; with it if nothing else moves an output."""
+    """Return the choice among inputs that are not suspects, or moves an output that nothing else moves."""
     suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
+    handles = [i for i in range(len(inputs)) if i not in suspects]
+    alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
+    suspects = [i for i in suspects if i not in alone]
     responses, less_room = without(tested, room, suspects)
     all_outputs = request.outputs is not None
     choice = choose(replace(tested, responses=responses), less_room, timing.guess, all_outputs=all_outputs)
-    if choice.inputs or not suspects:
-        return choice, ()
-    choice = choose(tested, room, timing.guess, all_outputs=all_outputs)
-    driven = [inputs[i].name for i in choice.inputs]
-    whys = (f"{name} ({roles.disturbances[name]})" for name in driven)
-    remark = f"Driven though they look like disturbances, as nothing else moves an output: {', '.join(whys)}"
-    return choice, (remark,) if driven else ()
+    driven = [inputs[i].name for i in alone if i in choice.inputs]
+    return choice, _remark_on_suspects(driven, roles, "an output that it moves")
+
+
+def _remark_on_suspects(driven: Sequence[str], roles: Roles, what: str) -> tuple[str, ...]:
+    whys = ", ".join(f"{name} ({roles.disturbances[name]})" for name in driven)
+    said = f"Driven though it may be a disturbance, as nothing else moves {what}: {whys}"
+    return (said,) if driven else ()
+
+
+def _moves_alone(tested: StepTest, suspect: int, handles: Sequence[int]) -> bool:
+    """Whether an output takes its time to answer to an input, and to nothing that may be driven."""
+    still = ResponseType.INSENSITIVE
+    return any(
+        row[suspect].type is not still
+        and not tested.is_immediate(row[suspect])
+        and all(row[i].type is still for i in handles)
+        for row in tested.responses
+    )
 
 
 def _parameters(description: Declarations, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:

@@ -38,12 +38,15 @@ class Roles:
         What may be driven, what is called an actuator first.
     disturbances : mapping of str to str
         What looks like a disturbance, and why, by name.
+    doubtful : frozenset of str
+        Those of them that a word alone speaks of that also stands for what is driven.
     enabling : mapping of str to float
         Inputs that are 0 or 1, start at 0 and may have to be 1 for anything to happen: the 1, by name.
     """
 
     driven: tuple[str, ...]
     disturbances: Mapping[str, str] = field(default_factory=dict)
+    doubtful: frozenset[str] = frozenset()
     enabling: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -68,6 +71,10 @@ def roles_of(description: Declarations) -> Roles:
     usual = [s for s in usual if s not in switching] or usual
     names = [signal.variable.name for signal in usual]
     evidence = {name: wordings[name].disturbance() for name in names if name not in overrides}
+    if any(wordings[name].words == ("u",) for name in names):
+        # Control theory's own names: u1, u2 and d.
+        called_d = (name for name in names if wordings[name].words == ("d",) and not evidence[name][0])
+        evidence |= dict.fromkeys(called_d, (LIKELY, ('it is called "d" beside "u"',)))
     certain = [name for name in evidence if evidence[name][0] >= CERTAIN]
     likely = [name for name in evidence if LIKELY <= evidence[name][0] < CERTAIN]
     others = [name for name in names if name not in certain and name not in likely]
@@ -89,7 +96,8 @@ def roles_of(description: Declarations) -> Roles:
         and signal.variable.name not in suspects
         and not stops(wordings[signal.variable.name])
     }
-    return Roles(tuple(dict.fromkeys(driven)), reasons, enabling)
+    by_word = (name for name in suspects if name in likely and not wordings[name].is_of_a_stream)
+    return Roles(tuple(dict.fromkeys(driven)), reasons, frozenset(by_word), enabling)
 
 
 def _temperatures_beside(names: Sequence[str], wordings: Mapping[str, Wording]) -> list[str]:

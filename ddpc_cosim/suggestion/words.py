@@ -7,12 +7,12 @@ from itertools import pairwise
 from ddpc_cosim.variables import Variable
 from fmu_plants.units import parse_unit
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[A-Z]")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[A-Z]|\d+")
 _MOST_WORDS = 10  # of a description: what comes later is seldom about what the signal is
 
 
 def words_of(text: str) -> tuple[str, ...]:
-    """Return the words of a name or a sentence in lower case: ``TOutdoor_air.y2`` is t, outdoor, air, y."""
+    """Return words and numbers of a text in lower case: ``TOutdoor_air.y2`` is t, outdoor, air, y, 2."""
     return tuple(word.lower() for word in _WORD.findall(text))
 
 
@@ -48,11 +48,12 @@ def vocabulary(text: str) -> frozenset[str]:
 
 SURROUNDINGS = vocabulary(
     "ambient amb ambience tamb outdoor outdoors outside exterior weather wea meteo solar sun sunlight "
+    "oda odt "
     "irradiance irradiation insolation sunshine qsol qsolar isol ghi dni dhi hglohor hdirnor hdifhor glohor "
     "dirnor difhor drybul drybulb wetbul tout toa oat wind winds winspe windir gust rain rainfall "
-    "precipitation cloud clouds cloudiness sky climate occupancy occupants occupant people persons "
-    "disturbance disturbances perturbation disturb dist atmosphere atmospheric surrounding surroundings "
-    "environment environmental env season road terrain wave waves bump umgebung aussen wetter"
+    "precipitation occ cloud clouds cloudiness sky climate occupancy occupants occupant people persons "
+    "occupan disturbance disturbances perturbation disturb dist atmosphere atmospheric surrounding "
+    "surroundings environment environmental env season road terrain wave waves bump umgebung aussen wetter"
 )
 """What the weather does, the ground, and people: no actuator is named so."""
 SUPPLIED = vocabulary(
@@ -88,6 +89,7 @@ _ACTUATED = [
     {"m": 3, "s": -1},
     {"kg": 1, "s": -1},
     {"mol": 1, "s": -1},
+    {"s": -1},  # a dilution rate
 ]
 _IRRADIANCE, _TEMPERATURE = {"kg": 1, "s": -3}, {"K": 1}
 _CONCENTRATIONS = [{"mol": 1, "m": -3}, {"kg": 1, "m": -3}]
@@ -95,9 +97,16 @@ CERTAIN, LIKELY = 3, 2
 """How much speaks for a disturbance: whatever else there is, and where something else can be driven."""
 
 
+_COMPOUNDS = ("ambient", "outdoor", "outside", "weather", "irradiance", "disturbance", "occupan", "solar")
+_QUANTITIES = "tqipmfghvxuw"
+_NOT_DIVIDED = vocabulary("train window preset pact")
+
+
 def _with_pairs(words: tuple[str, ...]) -> frozenset[str]:
-    """Return words and each two neighbours as one: `T_out` is no more than `Tout`."""
-    return frozenset(words) | {first + second for first, second in pairwise(words)}
+    """Return words and what is in them: `Tload` is a load, `T_out` no more than `Tout`."""
+    bare = {w[1:] for w in words if len(w) > 3 and w[0] in _QUANTITIES and w not in _NOT_DIVIDED}
+    within = {stem for w in words for stem in _COMPOUNDS if stem in w and w not in SURROUNDINGS}
+    return frozenset(words) | {first + second for first, second in pairwise(words)} | bare | within
 
 
 class Wording:
@@ -113,7 +122,8 @@ class Wording:
         self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
         self.is_share = variable.min == 0.0 and variable.max in (1.0, 100.0)
         path, _, last = variable.name.rpartition(".")
-        self.words = words_of(last)
+        self.labels = words_of(last)
+        self.words = tuple(word for word in self.labels if not word.isdigit())
         self.name, self.path = _with_pairs(self.words), _with_pairs(words_of(path))
         self.text = frozenset(words_of(variable.description)[:_MOST_WORDS])
         self.all = self.name | self.path | self.text
@@ -127,6 +137,11 @@ class Wording:
     def is_irradiance(self) -> bool:
         """Whether its unit is that of an irradiance."""
         return self.exponents == _IRRADIANCE
+
+    @property
+    def is_of_a_stream(self) -> bool:
+        """Whether its unit is that of a temperature or a concentration, which something brings along."""
+        return self.is_temperature or self.exponents in _CONCENTRATIONS
 
     @property
     def looks_driven(self) -> bool:
@@ -195,9 +210,9 @@ def stops(wording: Wording) -> bool:
 
 
 _SETPOINTS = vocabulary(
-    "setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset r w"
+    "setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset us r w"
 )
-_MEASURED = vocabulary("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym y m")
+_MEASURED = vocabulary("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym um y m")
 _ERRORS = vocabulary("error err e deviation")
 _COMMANDS = vocabulary(
     "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
@@ -240,7 +255,7 @@ _INTERNAL = vocabulary(
 def rank_of_output(variable: Variable) -> int:
     """Return how late an output is tried as one to control: readings first, what goes on inside last."""
     wording = Wording(variable)
-    if wording.name & _INTERNAL:
+    if (wording.name | wording.path) & _INTERNAL:
         return 3
     if wording.all & _SPENT or wording.all & SURROUNDINGS:
         return 2
