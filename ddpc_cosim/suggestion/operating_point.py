@@ -152,9 +152,9 @@ def _switched_on(
 ) -> TriedPoint:
     """Return the point with what switches the plant on at 1, if more inputs do something then."""
     levels = {name: level for name, level in roles.enabling.items() if name not in given}
-    left = ends - monotonic()
+    left = max(ends - monotonic(), _LEAST_TIME)
     may_drive = sum(variable.name not in roles.disturbances for variable in point.inputs)
-    if not levels or left < _LEAST_TIME or point.lively >= may_drive:
+    if not levels or point.lively >= may_drive:
         return point
     start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
     try:

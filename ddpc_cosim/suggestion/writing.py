@@ -198,7 +198,9 @@ def _line(key: str, value: Any) -> str:
 def _comment_lines(texts: Iterable[str]) -> Iterator[str]:
     from textwrap import wrap
 
-    return (f"# {line}" for text in texts for line in wrap(_one_line(text), _WIDTH - 2))
+    return (
+        f"# {line}" for text in texts for line in wrap(_one_line(text), _WIDTH - 2, break_on_hyphens=False)
+    )
 
 
 def _one_line(text: str) -> str:
