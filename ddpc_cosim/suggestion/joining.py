@@ -163,8 +163,8 @@ def join(paths: Sequence[Path], descriptions: Sequence[PlantDescription], title:
 def _longest(descriptions: Sequence[PlantDescription]) -> DefaultExperiment:
     """Return the longest of the default experiments, from 0 on; in what steps is found out."""
     experiments = (described.default_experiment for described in descriptions)
-    durations = ((e.stop_time or 0.0) - (e.start_time or 0.0) for e in experiments)
-    return DefaultExperiment(stop_time=max(durations) or None)
+    longest = max((e.stop_time or 0.0) - (e.start_time or 0.0) for e in experiments)
+    return DefaultExperiment(stop_time=longest if longest > 0.0 else None)
 
 
 def _inputs(described: PlantDescription) -> list[Variable]:
@@ -261,15 +261,15 @@ def _fit(source: Variable, target: Variable, are_only_ones: bool) -> tuple[float
 
 def _shared(some: frozenset[str], others: frozenset[str]) -> str:
     """Return the longest word that two names have in common, if only by its beginning or first letter."""
-    pairs = ((one, other) for one in some for other in others)
-    common = (
-        max(one, other, key=len)
-        for one, other in pairs
-        if (min(len(one), len(other)) >= _BEGINNING and (one.startswith(other) or other.startswith(one)))
-        or one == other
-        or other == _ABBREVIATED.get(one)
-        or one == _ABBREVIATED.get(other)
-    )
+    common = list[str]()
+    for one in some:
+        for other in others:
+            if one == _ABBREVIATED.get(other) or other == _ABBREVIATED.get(one):
+                common.append(max(one, other, key=len))
+            elif one == other or (
+                min(len(one), len(other)) >= _BEGINNING and (one.startswith(other) or other.startswith(one))
+            ):
+                common.append(min(one, other, key=len))
     return max(common, key=lambda word: (len(word), word), default="")
 
 
