@@ -138,7 +138,7 @@ def suggest_study(
         return (system.open if system else partial(FMUPlant, path, isolated=True))(
             inputs=driven,
             outputs=read,
-            start={**start, **overrides},
+            start={**overrides, **start},
             step_timeout=min(step_timeout, timing.budget),
             sandbox=sandbox,
         )

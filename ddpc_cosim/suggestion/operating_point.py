@@ -8,13 +8,14 @@ from time import monotonic
 
 import numpy as np
 
-from ddpc_cosim.description import Declarations
+from ddpc_cosim.description import Declarations, switches_of
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds
+from ddpc_cosim.suggestion.embedded import Embedded, embedded_control
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.roles import Roles, usual_range, without
@@ -54,13 +55,14 @@ class TriedPoint:
     disturbances: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def lively(self) -> int:
-        """How many inputs that may be driven move an output."""
+    def lively(self) -> frozenset[str]:
+        """The inputs that move an output, but for what looks like a disturbance."""
         columns = zip(self.inputs, zip(*self.tested.responses, strict=True), strict=True)
-        return sum(
-            variable.name not in self.disturbances
-            and any(r.type is not ResponseType.INSENSITIVE for r in column)
+        return frozenset(
+            variable.name
             for variable, column in columns
+            if variable.name not in self.disturbances
+            and any(r.type is not ResponseType.INSENSITIVE for r in column)
         )
 
     @property
@@ -97,14 +99,21 @@ def find(
     ends = monotonic() + timing.budget
     every = [signal.variable for signal in description.signals("input")]
     given = request.start(description)
-    usual = _usual_levels(every, given, request.ranges)
-    remarks = _remarks_on(usual, every)
     parameters = request.parameters(description)
-    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing, roles)
+    resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
+    switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
+    embedded = embedded_control(open_plant, switches, parameters, timing)
+    usual = _usual_levels(every, {**given, **embedded.levels}, request.ranges)
+    remarks = [*_remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
+    at_start = _at(open_plant, {**usual, **embedded.levels, **given}, {}, parameters, request, timing, roles)
+    at_start = _held(at_start, embedded, open_plant, parameters, ends, roles)
     at_start = _switched_on(at_start, open_plant, parameters, ends, roles, given)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
-    levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
+    # What rests elsewhere than at 0, or acts from outside, stays: it is what the plant's author had in mind.
+    resting = zip((variable.name for variable in at_start.inputs), at_start.rest, strict=True)
+    stays = {*usual, *given, *roles.disturbances, *(name for name, level in resting if level)}
+    levels = {name: level for name, level in half.items() if name not in stays}
     attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
     for factor in _WIDER:
         wider = _wider(at_start.inputs, at_start.bounds, factor)
@@ -125,6 +134,40 @@ def find(
     if best.choice.inputs or not roles.disturbances:
         return best
     return _driving_suspects(best, open_plant, parameters, ends, roles)
+
+
+def _held(
+    point: TriedPoint,
+    embedded: Embedded,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+) -> TriedPoint:
+    """Return the point with overrides where they hold what the plant's own control holds."""
+    unknown = replace(embedded, overrides=tuple(n for n in embedded.overrides if n not in embedded.levels))
+    y = design.where_it_rests(point.tested)
+    levels = unknown.holding(point.inputs, point.rest, y, point.choice, point.bounds)
+    left = max(ends - monotonic(), _LEAST_TIME)
+    if not levels:
+        return point
+    start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
+    try:
+        held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles)
+    except CosimError:  # it does not run there
+        return point
+    if len(held.lively) < len(point.lively):
+        return point
+    return replace(held, remarks=(*_remarks_on_overrides(levels), *held.remarks))
+
+
+def _remarks_on_overrides(levels: Mapping[str, float]) -> list[str]:
+    """Return what is said of overrides that rest where the plant's own control has them."""
+    return [
+        f"{name} starts at 0 and rests at {level:.4g} here, about what the plant's own control does; "
+        f"--at {name}=LEVEL moves it"
+        for name, level in levels.items()
+    ]
 
 
 def _driving_suspects(
@@ -152,16 +195,19 @@ def _switched_on(
 ) -> TriedPoint:
     """Return the point with what switches the plant on at 1, if more inputs do something then."""
     levels = {name: level for name, level in roles.enabling.items() if name not in given}
+    levels |= {name: 1.0 for name in roles.perhaps_enabling if name not in given}
     left = max(ends - monotonic(), _LEAST_TIME)
-    may_drive = sum(variable.name not in roles.disturbances for variable in point.inputs)
-    if not levels or point.lively >= may_drive:
+    driven = {variable.name for variable in point.inputs} - {*roles.disturbances, *levels}
+    before = len(point.lively & driven)
+    if not levels or before == len(driven):
         return point
     start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
+    switching = replace(roles, fixed=roles.perhaps_enabling)
     try:
-        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles)
+        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, switching)
     except CosimError:  # it does not run so
         return point
-    if on.lively <= point.lively:
+    if len(on.lively & driven) <= before:
         return point
     said = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
     remark = (
@@ -240,7 +286,8 @@ def _chosen(
     handles = [i for i in range(len(inputs)) if i not in suspects]
     alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
     suspects = [i for i in suspects if i not in alone]
-    responses, less_room = without(tested, room, suspects)
+    fixed = [i for i, variable in enumerate(inputs) if variable.name in roles.fixed]
+    responses, less_room = without(tested, room, [*suspects, *fixed])
     all_outputs = request.outputs is not None
     choice = choose(replace(tested, responses=responses), less_room, timing.guess, all_outputs=all_outputs)
     driven = [inputs[i].name for i in alone if i in choice.inputs]

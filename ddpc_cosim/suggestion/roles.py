@@ -11,11 +11,14 @@ from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.suggestion.words import (
     CERTAIN,
+    DEVICES,
     LIKELY,
     Wording,
     command,
     control_error,
     enables,
+    is_comparison,
+    listed,
     measurement,
     rank_of_output,
     setpoint,
@@ -23,7 +26,10 @@ from ddpc_cosim.suggestion.words import (
 )
 from ddpc_cosim.variables import FloatArray, Variable
 
+Evidence = tuple[int, tuple[str, ...]]
+
 MOST_SUSPECTS = 6
+_LISTED = 3
 _BRIGHT = 800.0  # W/m2: the sun on a clear day
 _MIRRORED = 0.02  # of the larger one: how far responses to setpoint and measurement may be from opposite
 
@@ -42,12 +48,18 @@ class Roles:
         Those of them that a word alone speaks of that also stands for what is driven.
     enabling : mapping of str to float
         Inputs that are 0 or 1, start at 0 and may have to be 1 for anything to happen: the 1, by name.
+    perhaps_enabling : frozenset of str
+        Those among the driven ones that go from 0 to 1, start at 0, and are called nothing that says more.
+    fixed : frozenset of str
+        Those of them that have turned out to be switches.
     """
 
     driven: tuple[str, ...]
     disturbances: Mapping[str, str] = field(default_factory=dict)
     doubtful: frozenset[str] = frozenset()
     enabling: Mapping[str, float] = field(default_factory=dict)
+    perhaps_enabling: frozenset[str] = frozenset()
+    fixed: frozenset[str] = frozenset()
 
 
 def roles_of(description: Declarations) -> Roles:
@@ -75,6 +87,7 @@ def roles_of(description: Declarations) -> Roles:
         # Control theory's own names: u1, u2 and d.
         called_d = (name for name in names if wordings[name].words == ("d",) and not evidence[name][0])
         evidence |= dict.fromkeys(called_d, (LIKELY, ('it is called "d" beside "u"',)))
+    evidence = {**evidence, **_unlimited_beside_limited(names, wordings, evidence)}
     certain = [name for name in evidence if evidence[name][0] >= CERTAIN]
     likely = [name for name in evidence if LIKELY <= evidence[name][0] < CERTAIN]
     others = [name for name in names if name not in certain and name not in likely]
@@ -88,6 +101,8 @@ def roles_of(description: Declarations) -> Roles:
         suspects = certain if others or likely else []
     driven = [name for name in (*names, *others) if name not in suspects]
     reasons = {name: " and ".join(evidence[name][1]) for name in names if name in suspects}
+    there = listed([name for name in names if name not in suspects], _LISTED, "inputs")
+    reasons |= {name: f"{reasons[name]}, and there is {there} to drive" for name in warm if name in reasons}
     enabling = {
         signal.variable.name: 1.0
         for signal in binary
@@ -97,12 +112,49 @@ def roles_of(description: Declarations) -> Roles:
         and not stops(wordings[signal.variable.name])
     }
     by_word = (name for name in suspects if name in likely and not wordings[name].is_of_a_stream)
-    return Roles(tuple(dict.fromkeys(driven)), reasons, frozenset(by_word), enabling)
+    every = tuple(dict.fromkeys(driven))
+    return Roles(
+        every, reasons, frozenset(by_word), enabling, _perhaps_enabling(every, description, wordings)
+    )
+
+
+def _perhaps_enabling(
+    driven: Sequence[str], description: Declarations, wordings: Mapping[str, Wording]
+) -> frozenset[str]:
+    """Return what goes from 0 to 1 from 0 on, has no unit and no telling name, beside others that do not."""
+    signals = (description.signal(name) for name in driven)
+    shares = {
+        signal.variable.name
+        for signal in signals
+        if signal is not None
+        and (signal.variable.min, signal.variable.max, signal.variable.start) == (0.0, 1.0, 0.0)
+        and signal.variable.unit in ("", "1")
+    }
+    are_all = len(shares) == len(driven)
+    return frozenset(
+        n for n in shares if not (are_all or wordings[n].says_driven or wordings[n].all & DEVICES)
+    )
+
+
+def _unlimited_beside_limited(
+    names: Sequence[str], wordings: Mapping[str, Wording], evidence: Mapping[str, Evidence]
+) -> dict[str, Evidence]:
+    """Return more evidence of inputs without limits beside others that have both: an actuator has them."""
+    limited = [
+        name for name in names if wordings[name].is_limited and evidence.get(name, (0, ()))[0] < LIKELY
+    ]
+    free = (name for name in evidence if not (wordings[name].is_limited or wordings[name].says_driven))
+    said = (
+        f"it has no limits, as {listed(limited, _LISTED, 'inputs')} {'has' if len(limited) == 1 else 'have'}"
+    )
+    return (
+        {name: (evidence[name][0] + LIKELY, (*evidence[name][1], said)) for name in free} if limited else {}
+    )
 
 
 def _temperatures_beside(names: Sequence[str], wordings: Mapping[str, Wording]) -> list[str]:
     """Return inlet temperatures: those beside which there is a flow, a power or a valve to drive."""
-    warm = [name for name in names if wordings[name].disturbance()[0] == 1]
+    warm = [name for name in names if wordings[name].disturbance()[0] == 1 and not wordings[name].is_limited]
     rest = [name for name in names if name not in warm]
     return warm if any(wordings[name].looks_driven for name in rest) else []
 
@@ -165,6 +217,9 @@ def controller_words(
             if not setpoint(words[wanted.name]):
                 continue
             for k, other in enumerate(inputs):
+                if k != i and is_comparison(words[wanted.name], words[other.name], words[output.name]):
+                    yield _controller(f"{wanted.name}, {other.name}", output.name)
+                    return
                 is_called_so = measurement(words[other.name]) or command(words[output.name])
                 if (
                     k != i

@@ -1,5 +1,6 @@
 """What the words and the unit of a signal usually stand for: its name, however spelt, and its description."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
@@ -59,9 +60,16 @@ SURROUNDINGS = vocabulary(
 SUPPLIED = vocabulary(
     "load loads feed influent inflow inlet incoming upstream demand consumption drawoff tapping usage gains "
     "external extern ext ground soil slope grade incline gradient traffic leak leakage friction tin thead "
+    "outflow qout fout mdotout tf tfeed caf cin cain cf sf fext "
     "backpressure downstream uncontrolled"
 )
 """What others bring to a plant or take from it, which may be what one drives."""
+_SUBSCRIPTS = {
+    "l": ("tm", {"kg": 1, "m": 2, "s": -2}),  # of a load torque
+    "d": ("ft", {"kg": 1, "m": 1, "s": -2}),  # of a disturbance force
+    "w": ("vu", {"m": 1, "s": -1}),  # of the wind's speed
+}
+"""Subscripts of textbooks, the symbols that have them, and the unit where they have one."""
 _CARRIED = vocabulary(
     "torque force moment power current heat thermal cooling heating flow mass weight resistance"
 )
@@ -120,7 +128,7 @@ class Wording:
 
     def __init__(self, variable: Variable) -> None:
         self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
-        self.is_share = variable.min == 0.0 and variable.max in (1.0, 100.0)
+        self.is_limited = math.isfinite(variable.min) and math.isfinite(variable.max)
         path, _, last = variable.name.rpartition(".")
         self.labels = words_of(last)
         self.words = tuple(word for word in self.labels if not word.isdigit())
@@ -145,8 +153,8 @@ class Wording:
 
     @property
     def looks_driven(self) -> bool:
-        """Whether anything says that it is an actuator: a word, its unit or a range from 0 to 1."""
-        return bool(self.all & DEVICES) or self.exponents in _ACTUATED or self.is_share
+        """Whether anything says that it is an actuator: a word, its unit or limits."""
+        return bool(self.all & DEVICES) or self.exponents in _ACTUATED or self.is_limited
 
     def disturbance(self) -> tuple[int, tuple[str, ...]]:
         """Return how much speaks for a disturbance, and what does."""
@@ -157,6 +165,8 @@ class Wording:
             if words & DEVICES:
                 continue
             certain = words & SURROUNDINGS or self._weighs(words)
+            if words is self.name and not certain:
+                certain = self._subscript()
             likely = frozenset() if self.name & _USUALLY_DRIVEN else _supplied(words)
             said = certain or likely
             if said and not any(reason.endswith(f' "{min(said)}"') for reason in reasons):
@@ -178,6 +188,24 @@ class Wording:
             else frozenset()
         )
 
+    @property
+    def is_u(self) -> bool:
+        """Whether it is called what control theory calls an input."""
+        return self.words == ("u",)
+
+    @property
+    def says_driven(self) -> bool:
+        """Whether its name says that it is what one drives."""
+        return self.is_u or bool((self.name | self.path) & _USUALLY_DRIVEN)
+
+    def _subscript(self) -> frozenset[str]:
+        """Return a symbol with a subscript that textbooks give to loads, disturbances and the wind."""
+        symbol = "".join(self.words)
+        of, unit = _SUBSCRIPTS.get(symbol[-1:], ("", {}))
+        is_symbol = (len(symbol) == 2 and symbol[0] in of) or symbol in ("taul", "taud")
+        fits = self.exponents in (None, unit, {"kg": 1, "m": 2, "s": -2})
+        return frozenset({symbol}) if is_symbol and fits else frozenset()
+
     def _unit_points(self) -> int:
         if self.all & _USUALLY_DRIVEN:
             return 0
@@ -191,6 +219,7 @@ def _supplied(words: frozenset[str]) -> frozenset[str]:
 
 
 _ENABLING = vocabulary(
+    "start started permit release engage "
     "on enable enabled enabling activate activated active activation running run avail available"
 )
 _STOPPING = vocabulary(
@@ -217,6 +246,19 @@ _ERRORS = vocabulary("error err e deviation")
 _COMMANDS = vocabulary(
     "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
 )
+
+
+_STRICTLY_MEASURED = _MEASURED - vocabulary("y m actual")
+_STRICTLY_COMMANDS = _COMMANDS - vocabulary("y act con drive")
+
+
+def is_comparison(wanted: Wording, measured: Wording, sent: Wording) -> bool:
+    """Whether words alone say that one signal is wanted, one is measured, and one is the command."""
+    if (wanted.words, measured.words, sent.words) in ((("r",), ("y",), ("u",)), (("w",), ("y",), ("u",))):
+        return True
+    is_wanted = bool(wanted.all & (_SETPOINTS - vocabulary("r w"))) and not wanted.all & _STRICTLY_MEASURED
+    is_measured = bool(measured.all & _STRICTLY_MEASURED) and not measured.all & SURROUNDINGS
+    return is_wanted and is_measured and bool(sent.all & _STRICTLY_COMMANDS)
 
 
 def setpoint(wording: Wording) -> bool:

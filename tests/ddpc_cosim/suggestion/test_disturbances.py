@@ -81,7 +81,9 @@ COLD = model(
 def study_of(plant: PlantModel, folder: Path, **wanted: Any) -> tuple[dict[str, Any], str]:
     """Return the study as plain TOML, and its text in one line."""
     fmu = build_fmu(plant)
-    path = write_study(suggest_study(fmu, **{"trial": False, "budget": 600.0, **wanted}), fmu, folder / "study.toml")
+    path = write_study(
+        suggest_study(fmu, **{"trial": False, "budget": 600.0, **wanted}), fmu, folder / "study.toml"
+    )
     text = path.read_text(encoding="utf-8")
     return tomllib.loads(text), text.replace("\n# ", " ")
 
@@ -178,10 +180,26 @@ def pi_controller(wanted: str, measured: str, command: str) -> PlantModel:
     )
 
 
+def limited_controller() -> PlantModel:
+    """Return the same from -1 to 1, with an error of 5 at the start."""
+    from sympy import Max, Min
+
+    return PlantModel(
+        name="limited",
+        equations=lambda v: Equations({"i": 0.1 * (v.r - v.y)}, {"u": Max(-1, Min(1, v.r - v.y + v.i))}),
+        states=(Variable("i"),),
+        inputs=(Variable("r", start=5.0), Variable("y")),
+        outputs=(Variable("u"),),
+        stop_time=100.0,
+    )
+
+
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
         (pi_controller("T_set", "T_meas", "u"), "This looks like a controller (T_set, T_meas -> u)"),
+        # At its limit nothing is opposite any more.
+        (limited_controller(), "This looks like a controller (r, y -> u)"),
         (
             model(
                 "gain",
@@ -192,7 +210,7 @@ def pi_controller(wanted: str, measured: str, command: str) -> PlantModel:
             "This looks like a controller (error -> y)",
         ),
     ],
-    ids=["pi", "of a difference"],
+    ids=["pi", "at its limit", "of a difference"],
 )
 def test_a_controller_is_called_one(
     plant: PlantModel, words: str, own_cache_folder: None, tmp_path: Path
@@ -226,3 +244,64 @@ def test_a_plant_is_not_called_a_controller(
     plant: PlantModel, own_cache_folder: None, tmp_path: Path
 ) -> None:
     assert "looks like a controller" not in study_of(plant, tmp_path)[1]
+
+
+def overridden(told: bool) -> PlantModel:
+    """Return a room at 5 degC outside whose own control holds 21 degC: (21 - T) 10 kW, at 16 K / 600 s."""
+    room = Variable("reaTRoo_y", "K", start=294.15, description="Room air temperature")
+    acts = Variable("oveHea_y", "W")
+
+    def equations(v: Any) -> Equations:
+        embedded = 4000 + 1000 * (294.15 - v.reaTRoo_y)
+        heat = v.oveHea_activate * v.oveHea_u + (1 - v.oveHea_activate) * embedded
+        rates = {"reaTRoo_y": (278.15 - v.reaTRoo_y) / 600 + heat / 1.5e5}
+        return Equations(rates, {"oveHea_y": heat} if told else {})
+
+    return PlantModel(
+        name="told" if told else "untold",
+        equations=equations,
+        states=(room,),
+        inputs=(
+            Variable("oveHea_u", "W", min=0.0, max=10000.0),
+            Variable("oveHea_activate", "1", min=0.0, max=1.0, description="Activation for Hea"),
+        ),
+        outputs=(room, acts) if told else (room,),
+        stop_time=6000.0,
+    )
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_an_override_rests_where_the_plants_own_control_holds_it(
+    told: bool, own_cache_folder: None, tmp_path: Path
+) -> None:
+    """16 K / 600 s = P / 1.5e5: 4000 W hold 294.15 K."""
+    study, text = study_of(overridden(told), tmp_path)
+    assert study["plant"]["inputs"] == ["oveHea_u"]
+    assert study["plant"]["start"]["oveHea_u"] == pytest.approx(4000.0, rel=0.02)
+    assert study["reference"]["reaTRoo_y"]["values"][0] > 294.0
+    assert "oveHea_u starts at 0 and rests at" in text
+
+
+def test_an_unnamed_switch_is_a_switch_where_the_others_need_it(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    study, text = study_of(switched("s7"), tmp_path)
+    assert study["plant"]["inputs"] == ["u"]
+    assert study["plant"]["start"] == {"s7": 1.0}
+    assert "s7 = 1: switched on" in text
+
+
+def test_where_a_product_vanishes_the_weather_stays(own_cache_folder: None, tmp_path: Path) -> None:
+    """Half of the flow, and the supply as its maker has it."""
+    coil = model(
+        "coil",
+        "T [K] = 293.15",
+        (
+            Variable("opening", "1", min=0.0, max=1.0),
+            Variable("flow", "kg/s", min=0.0, max=1.0),
+            Variable("T_ambient", "K", start=320.0),
+        ),
+        lambda v: {"T": v.opening * v.flow * (v.T_ambient - v.T) / 100},
+    )
+    study, _ = study_of(coil, tmp_path)
+    assert study["plant"]["start"] == {"opening": 0.5, "flow": 0.5}

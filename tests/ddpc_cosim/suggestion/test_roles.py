@@ -97,6 +97,34 @@ def test_what_words_and_units_say_of_inputs(inputs: str, disturbances: set[str])
     assert set(roles.driven) == {v.name for v in signals(inputs)} - disturbances
 
 
+@pytest.mark.parametrize(
+    ("inputs", "limited", "driven"),
+    [
+        ("F_ext [N], thrust", ["thrust"], ["thrust"]),
+        ("Qin [m3/s], Qout [m3/s]", ["Qin"], ["Qin"]),
+        ("n [rpm], mdot_2 [kg/s]", ["n"], ["n"]),
+        ("a, b", ["a"], ["a"]),
+        ("a, b", ["a", "b"], ["a", "b"]),
+        ("a, b", [], ["a", "b"]),
+        ("u1 [V], u2 [V]", ["u1"], ["u1", "u2"]),  # both are called inputs
+        ("fan, valve", ["fan"], ["fan", "valve"]),  # both are devices
+    ],
+)
+def test_an_actuator_has_limits_and_what_has_none_beside_it_may_be_a_disturbance(
+    inputs: str, limited: list[str], driven: list[str]
+) -> None:
+    variables = [replace(v, min=-1.0, max=1.0) if v.name in limited else v for v in signals(inputs)]
+    assert list(roles_of(describe(variables, signals("x, y, z"))).driven) == driven
+
+
+@pytest.mark.parametrize(
+    ("symbol", "unit"),
+    [("tau_L", "N.m"), ("T_L", "N.m"), ("F_d", "N"), ("Fd", "N"), ("v_w", "m/s"), ("Tf", "K"), ("Tin", "K")],
+)
+def test_subscripts_of_textbooks_are_known(symbol: str, unit: str) -> None:
+    assert set(roles_of(plant(f"{symbol} [{unit}], u [W]", "a, b, c")).disturbances) == {symbol}
+
+
 def test_the_evidence_is_told() -> None:
     roles = roles_of(plant("outdoor_temperature [K], heater [W]"))
     assert roles.disturbances == {"outdoor_temperature": 'its name says "outdoor" and its unit is K'}
