@@ -327,7 +327,9 @@ def _propose(
         lasting=choice.gains * u_size / y_size,
     )
     chosen = suggested_controllers(gains, may_record=not unstable)
-    needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
+    acting = Acting.of(point, design.clean(_SAMPLES_PER_LEVEL * sample))
+    sizes = len(inputs) + len(acting.moving), len(outputs), len(measurements)
+    needed = max(_recording_length(c, *sizes) for c in chosen.values())
     samples = max(_SAMPLES, 2 * needed)
     circumstances = Circumstances(
         point.inputs, point.outputs, tested, choice, sample, unstable, acting=frozenset(point.disturbances)
@@ -341,7 +343,6 @@ def _propose(
         nominal=nominal,
     )
     excitation = {} if unstable else design.excitation(inputs, working, samples)
-    acting = Acting.of(point, design.clean(_SAMPLES_PER_LEVEL * sample))
     study = Study(
         title=f"Control of {title}",
         plant=plant,

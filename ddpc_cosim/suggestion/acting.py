@@ -1,6 +1,6 @@
 """What acts on a plant besides what is driven: the disturbances of a suggested study."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,6 +11,7 @@ from ddpc_cosim.study.file_format.sections import RecordingSection
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.operating_point import TriedPoint
 from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.words import SURROUNDINGS, Wording
 
 _WHAT_TO_DO = (
     "What acts from outside and is measured. Nothing here knows its course: it stays where it rests, and in "
@@ -18,6 +19,23 @@ _WHAT_TO_DO = (
     '{ kind = "file", file = "weather.csv", column = "..." }; known = "medium" or "perfect" gives forecasts. '
     "One that is an actuator after all: --input NAME."
 )
+
+
+_INSIDE = (
+    'the weather, which the plant has inside. known = "measured" lets controllers see it; those that learn '
+    "from data need an experiment that is long enough for it to be told from the inputs."
+)
+_MOST_INSIDE = 4
+
+
+def _weather_inside(point: TriedPoint) -> Iterator[str]:
+    """Yield outputs that are called the weather, move while inputs rest, and answer to none of them."""
+    for j, variable in enumerate(point.outputs):
+        wording = Wording(variable)
+        is_weather = bool(wording.name & SURROUNDINGS) or wording.is_irradiance
+        is_still = all(response.type is ResponseType.INSENSITIVE for response in point.tested.responses[j])
+        if is_weather and is_still and j not in point.choice.outputs and point.tested.drift(j) > 0.0:
+            yield variable.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +47,7 @@ class Acting:
     known : mapping of str to KnownDisturbance
         The disturbances, each at the level that it rests at.
     moving : mapping of str to RandomLevels
-        How each moves in the experiment.
+        How each that is an input moves in the experiment.
     comments : mapping of str to tuple of str
         What is said of them, by section of the study file.
     """
@@ -68,12 +86,17 @@ class Acting:
             moving[variable.name] = RandomLevels(
                 design.rounded(low, resolution), design.rounded(high, resolution), hold
             )
-        comments = {"disturbances": (_WHAT_TO_DO, *said)} if known else {"plant": tuple(said)}
+        opening = [_WHAT_TO_DO] if known else []
+        inside = [*_weather_inside(point)][:_MOST_INSIDE]
+        if inside:
+            known |= dict.fromkeys(inside, KnownDisturbance(known="unknown"))
+            opening.append(f"{', '.join(inside)}: {_INSIDE}")
+        comments = {"disturbances": (*opening, *said)} if known else {"plant": tuple(said)}
         return cls(known, moving, comments)
 
     def recorded(self, samples: int, excitation: dict[str, InputExcitation]) -> RecordingSection:
         """Return the experiment, in which they move; it begins at 0, as not every FMU runs before that."""
-        if not self.moving:
+        if not self.known:
             return RecordingSection(samples=samples, excitation=excitation)
         return RecordingSection(
             samples=samples, excitation=excitation, disturbances={**self.moving}, start_time=0.0

@@ -305,3 +305,29 @@ def test_where_a_product_vanishes_the_weather_stays(own_cache_folder: None, tmp_
     )
     study, _ = study_of(coil, tmp_path)
     assert study["plant"]["start"] == {"opening": 0.5, "flow": 0.5}
+
+
+def test_the_weather_that_a_plant_has_inside_is_measured(own_cache_folder: None, tmp_path: Path) -> None:
+    """A room whose FMU tells the outdoor temperature, a day's sine, and the power that is used."""
+    from sympy import sin
+
+    room = Variable("TRoo", "K", start=288.15)
+
+    def equations(v: Any) -> Equations:
+        outdoor = 278.15 + 5 * sin(2 * 3.141592653589793 / 86400 * v.time)
+        rate = (outdoor - v.TRoo) / 7200 + v.PHea / 7.2e5
+        return Equations({"TRoo": rate}, {"weaTDryBul": outdoor, "PEle": v.PHea / 3})
+
+    house = PlantModel(
+        name="Bungalow",
+        equations=equations,
+        states=(room,),
+        inputs=(Variable("PHea", "W", min=0.0, max=3000.0, start=1000.0),),
+        outputs=(Variable("PEle", "W"), Variable("weaTDryBul", "K"), room),
+        stop_time=7 * 86400.0,
+    )
+    study, text = study_of(house, tmp_path, trial=True)
+    assert study["plant"]["outputs"] == ["TRoo"]
+    assert study["disturbances"] == {"weaTDryBul": {"known": "unknown"}}
+    assert "weaTDryBul: the weather, which the plant has inside" in text
+    assert len(study["controllers"]) == 4
