@@ -143,14 +143,7 @@ def suggest_study(
             sandbox=sandbox,
         )
 
-    try:
-        point = find(open_plant, description, request, timing, roles)
-    except CosimError:
-        if not (system and system.exchange_often()):
-            raise
-        point = find(
-            open_plant, description, request, timing, roles
-        )  # what diverged may have been the exchange
+    point = find(open_plant, description, request, timing, roles)
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
         if system.refine(open_plant, point, sample):

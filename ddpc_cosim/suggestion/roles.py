@@ -143,13 +143,14 @@ def _unlimited_beside_limited(
     limited = [
         name for name in names if wordings[name].is_limited and evidence.get(name, (0, ()))[0] < LIKELY
     ]
-    free = (name for name in evidence if not (wordings[name].is_limited or wordings[name].says_driven))
-    said = (
-        f"it has no limits, as {listed(limited, _LISTED, 'inputs')} {'has' if len(limited) == 1 else 'have'}"
-    )
-    return (
-        {name: (evidence[name][0] + LIKELY, (*evidence[name][1], said)) for name in free} if limited else {}
-    )
+    if not limited:
+        return {}
+    have = f"{listed(limited, _LISTED, 'inputs')} {'has' if len(limited) == 1 else 'have'}"
+    return {
+        name: (points + LIKELY, (*reasons, f"it has no limits, as {have}"))
+        for name, (points, reasons) in evidence.items()
+        if points < CERTAIN and not (wordings[name].is_limited or wordings[name].says_driven)
+    }
 
 
 def _temperatures_beside(names: Sequence[str], wordings: Mapping[str, Wording]) -> list[str]:

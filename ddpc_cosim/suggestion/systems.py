@@ -21,7 +21,6 @@ from ddpc_cosim.variables import FloatArray
 _WHOLE = 1e-9
 _FINEST = 256
 _SAMPLES, _DIFFER = 60, 0.02
-_EXCHANGES, _OFTEN = 1000, 0.01  # in the default experiment; where there is none [s]
 _COUPLING = CouplingSection(extrapolation="linear")
 
 
@@ -87,14 +86,6 @@ class System:
             for loop in self._loops
         )
         return (*loops, *self._remarks)
-
-    def exchange_often(self) -> bool:
-        """Have values exchanged often where that was left to the steps taken; return whether that is new."""
-        if math.isfinite(self.exchange):
-            return False
-        stop = self.description.default_experiment.stop_time
-        self.exchange = stop / _EXCHANGES if stop and stop > 0.0 else _OFTEN
-        return True
 
     def refine(self, open_plant: Callable[..., Any], point: TriedPoint, sampling_time: float) -> bool:
         """Have values exchanged so often that twice as often makes no difference; return whether that is new.

@@ -153,8 +153,8 @@ class Wording:
 
     @property
     def looks_driven(self) -> bool:
-        """Whether anything says that it is an actuator: a word, its unit or limits."""
-        return bool(self.all & DEVICES) or self.exponents in _ACTUATED or self.is_limited
+        """Whether anything says that it is an actuator: a word, its unit or limits, or that it is u."""
+        return bool(self.all & DEVICES) or self.exponents in _ACTUATED or self.is_limited or self.is_u
 
     def disturbance(self) -> tuple[int, tuple[str, ...]]:
         """Return how much speaks for a disturbance, and what does."""

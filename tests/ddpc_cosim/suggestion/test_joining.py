@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from ddpc_cosim import ConfigError
+from ddpc_cosim.cli.main import main
 from ddpc_cosim.description import describe
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
@@ -121,6 +123,21 @@ HOUSE = PlantModel(
     outputs=(TANK,),
     stop_time=6000.0,
 )
+
+
+def test_the_command_takes_several_files_and_says_what_it_connects(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    fmus = [str(build_fmu(HOUSE)), str(build_fmu(BOILER))]
+    out, archive = tmp_path / "study.toml", tmp_path / "system.ssp"
+    archive.write_bytes(b"")
+    done = CliRunner().invoke(main, ["init", *fmus, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "Connected by name and unit: boiler.heat -> house.heat_in." in done.stdout
+    assert "Not fed by another part: boiler.valve." in done.stdout
+    refused = CliRunner().invoke(main, ["init", fmus[0], str(archive), "--out", str(out), "--force"])
+    assert refused.exit_code == 2
+    assert "system.ssp: an SSP is a system by itself" in refused.stderr
 
 
 def test_a_boiler_and_a_house_become_a_study_that_was_tried(own_cache_folder: None, tmp_path: Path) -> None:
