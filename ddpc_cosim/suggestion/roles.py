@@ -84,9 +84,14 @@ def roles_of(description: Declarations) -> Roles:
     names = [signal.variable.name for signal in usual]
     evidence = {name: wordings[name].disturbance() for name in names if name not in overrides}
     if any(wordings[name].words == ("u",) for name in names):
-        # Control theory's own names: u1, u2 and d.
-        called_d = (name for name in names if wordings[name].words == ("d",) and not evidence[name][0])
-        evidence |= dict.fromkeys(called_d, (LIKELY, ('it is called "d" beside "u"',)))
+        # Control theory's own names: u1, u2 and d or w.
+        symbols = {n: "".join(wordings[n].words) for n in evidence if not evidence[n][0]}
+        evidence |= {
+            name: (LIKELY, (f'it is called "{symbol}" beside "u"',))
+            for name, symbol in symbols.items()
+            if symbol in ("d", "w")
+        }
+    evidence |= dict.fromkeys(_pardoned(wordings, evidence), (0, ()))
     evidence = {**evidence, **_unlimited_beside_limited(names, wordings, evidence)}
     certain = [name for name in evidence if evidence[name][0] >= CERTAIN]
     likely = [name for name in evidence if LIKELY <= evidence[name][0] < CERTAIN]
@@ -134,6 +139,18 @@ def _perhaps_enabling(
     return frozenset(
         n for n in shares if not (are_all or wordings[n].says_driven or wordings[n].all & DEVICES)
     )
+
+
+def _pardoned(wordings: Mapping[str, Wording], evidence: Mapping[str, Evidence]) -> list[str]:
+    """Return what is called a feed or so and is driven: with limits where others have none, or as a rate."""
+    likely = [name for name in evidence if evidence[name][0] == LIKELY]
+    all_limited = all(wordings[name].is_limited for name in evidence)
+    devices = any(wordings[name].all & DEVICES for name in evidence)
+    return [
+        name
+        for name in likely
+        if (wordings[name].is_limited and not all_limited) or (wordings[name].is_rate and not devices)
+    ]
 
 
 def _unlimited_beside_limited(

@@ -49,7 +49,7 @@ def vocabulary(text: str) -> frozenset[str]:
 
 SURROUNDINGS = vocabulary(
     "ambient amb ambience tamb outdoor outdoors outside exterior weather wea meteo solar sun sunlight "
-    "oda odt "
+    "ppv photovoltaic pdem qdem meal meals carbs oda odt "
     "irradiance irradiation insolation sunshine qsol qsolar isol ghi dni dhi hglohor hdirnor hdifhor glohor "
     "dirnor difhor drybul drybulb wetbul tout toa oat wind winds winspe windir gust rain rainfall "
     "precipitation occ cloud clouds cloudiness sky climate occupancy occupants occupant people persons "
@@ -85,7 +85,7 @@ DEVICES = vocabulary(
 )
 """What can be moved, and what one calls what moves it: also where it is a solar pump."""
 _USUALLY_DRIVEN = DEVICES | vocabulary(
-    "set heating cooling supply rate speed voltage pedal brake gate steam ratio"
+    "set heating cooling supply speed voltage pedal brake gate steam ratio"
 )
 """Words beside which ``feed`` and ``load`` say nothing."""
 _ACTUATED = [
@@ -192,6 +192,11 @@ class Wording:
     def is_u(self) -> bool:
         """Whether it is called what control theory calls an input."""
         return self.words == ("u",)
+
+    @property
+    def is_rate(self) -> bool:
+        """Whether its name ends in how much of something there is at a time, as what one sets does."""
+        return self.words[-1:] in (("rate",), ("flowrate",))
 
     @property
     def says_driven(self) -> bool:

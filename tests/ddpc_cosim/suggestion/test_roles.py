@@ -69,6 +69,10 @@ def test_a_list_that_is_cut_says_of_how_many() -> None:
         ("T_hot_in [K], m_flow [kg/s]", {"T_hot_in"}),
         ("inflow [m3/s], valve", {"inflow"}),
         ("u1, u2, d", {"d"}),
+        ("u, w", {"w"}),
+        ("P_pv [W], Pdem [W], P_bat [W]", {"P_pv", "Pdem"}),
+        ("reflux [mol/s], boilup [mol/s], feedRate [mol/s]", {"feedRate"}),
+        ("feedRate [kg/s], stirrer [rpm]", set()),
         # devices and setpoints are driven, whatever they are called besides
         ("outdoorFanSpeed, u", set()),
         ("solarPump, windTurbinePitch [rad]", set()),
@@ -108,6 +112,9 @@ def test_what_words_and_units_say_of_inputs(inputs: str, disturbances: set[str])
         ("a, b", [], ["a", "b"]),
         ("u1 [V], u2 [V]", ["u1"], ["u1", "u2"]),  # both are called inputs
         ("fan, valve", ["fan"], ["fan", "valve"]),  # both are devices
+        ("glucoseFeed, base, acid", ["glucoseFeed"], ["glucoseFeed"]),
+        ("duty, Vin [V]", ["duty"], ["duty"]),
+        ("insulin, meal [g/min]", ["insulin"], ["insulin"]),
     ],
 )
 def test_an_actuator_has_limits_and_what_has_none_beside_it_may_be_a_disturbance(
