@@ -60,7 +60,7 @@ SURROUNDINGS = vocabulary(
 SUPPLIED = vocabulary(
     "load loads feed influent inflow inlet incoming upstream demand consumption drawoff tapping usage gains "
     "external extern ext ground soil slope grade incline gradient traffic leak leakage friction tin thead "
-    "outflow qout fout mdotout tf tfeed caf cin cain cf sf fext "
+    "outflow qout fout mdotout tf zf xf tfeed caf cin cain cf sf fext "
     "backpressure downstream uncontrolled"
 )
 """What others bring to a plant or take from it, which may be what one drives."""
@@ -253,7 +253,7 @@ _COMMANDS = vocabulary(
 )
 
 
-_STRICTLY_MEASURED = _MEASURED - vocabulary("y m actual")
+_STRICTLY_MEASURED = _MEASURED - vocabulary("y m")
 _STRICTLY_COMMANDS = _COMMANDS - vocabulary("y act con drive")
 
 
@@ -261,9 +261,18 @@ def is_comparison(wanted: Wording, measured: Wording, sent: Wording) -> bool:
     """Whether words alone say that one signal is wanted, one is measured, and one is the command."""
     if (wanted.words, measured.words, sent.words) in ((("r",), ("y",), ("u",)), (("w",), ("y",), ("u",))):
         return True
-    is_wanted = bool(wanted.all & (_SETPOINTS - vocabulary("r w"))) and not wanted.all & _STRICTLY_MEASURED
-    is_measured = bool(measured.all & _STRICTLY_MEASURED) and not measured.all & SURROUNDINGS
-    return is_wanted and is_measured and bool(sent.all & _STRICTLY_COMMANDS)
+    is_wanted = _is_called(wanted, _SETPOINTS - vocabulary("r w"), _STRICTLY_MEASURED)
+    is_measured = _is_called(measured, _STRICTLY_MEASURED, _SETPOINTS) and not measured.all & SURROUNDINGS
+    is_signal = sent.unit in ("", "1", "%") or bool(sent.all & _STRICTLY_COMMANDS)
+    is_other = not wanted.unit or wanted.unit != sent.unit
+    return is_wanted and is_measured and wanted.unit == measured.unit and is_other and is_signal
+
+
+def _is_called(wording: Wording, words: frozenset[str], others: frozenset[str]) -> bool:
+    """Whether a name says one thing and not another, or the description where the name says neither."""
+    if wording.name & (words | others):
+        return bool(wording.name & words) and not wording.name & others
+    return bool(wording.text & words) and not wording.text & others
 
 
 def setpoint(wording: Wording) -> bool:

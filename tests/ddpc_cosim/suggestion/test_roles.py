@@ -6,7 +6,7 @@ import pytest
 
 from ddpc_cosim.description import DescribedVariable, PlantDescription, Values, describe
 from ddpc_cosim.suggestion.roles import order_of_outputs, roles_of
-from ddpc_cosim.suggestion.words import listed, words_of
+from ddpc_cosim.suggestion.words import Wording, is_comparison, listed, words_of
 from ddpc_cosim.variables import Variable
 
 
@@ -71,7 +71,7 @@ def test_a_list_that_is_cut_says_of_how_many() -> None:
         ("u1, u2, d", {"d"}),
         ("u, w", {"w"}),
         ("P_pv [W], Pdem [W], P_bat [W]", {"P_pv", "Pdem"}),
-        ("reflux [mol/s], boilup [mol/s], feedRate [mol/s]", {"feedRate"}),
+        ("reflux [mol/s], boilup [mol/s], feedRate [mol/s], zF", {"feedRate", "zF"}),
         ("feedRate [kg/s], stirrer [rpm]", set()),
         # devices and setpoints are driven, whatever they are called besides
         ("outdoorFanSpeed, u", set()),
@@ -130,6 +130,25 @@ def test_an_actuator_has_limits_and_what_has_none_beside_it_may_be_a_disturbance
 )
 def test_subscripts_of_textbooks_are_known(symbol: str, unit: str) -> None:
     assert set(roles_of(plant(f"{symbol} [{unit}], u [W]", "a, b, c")).disturbances) == {symbol}
+
+
+@pytest.mark.parametrize(
+    ("inputs", "output", "is_controller"),
+    [
+        ("r, y", "u", True),
+        ("TSet [K] (Set point of the measured temperature), TMea [K] (Measured)", "yVal [1]", True),
+        ("a [K] (Set point), b [K] (Measured temperature)", "out", True),
+        ("setpoint, feedback", "x [W] (control signal)", True),
+        ("TSet [K], TOut [K]", "TRoo [K]", False),  # a room with a control of its own
+        ("TSet [K], TMea [K]", "TRoo [K]", False),
+        ("TSet [K], pMea [Pa]", "y", False),
+        ("r, d", "u", False),
+        ("setpoint, measurement", "command", True),
+    ],
+)
+def test_words_alone_tell_a_controller(inputs: str, output: str, is_controller: bool) -> None:
+    wanted, measured, sent = (Wording(v) for v in (*signals(inputs), *signals(output)))
+    assert is_comparison(wanted, measured, sent) == is_controller
 
 
 def test_the_evidence_is_told() -> None:
