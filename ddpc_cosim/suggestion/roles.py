@@ -156,17 +156,22 @@ def _pardoned(wordings: Mapping[str, Wording], evidence: Mapping[str, Evidence])
 def _unlimited_beside_limited(
     names: Sequence[str], wordings: Mapping[str, Wording], evidence: Mapping[str, Evidence]
 ) -> dict[str, Evidence]:
-    """Return more evidence of inputs without limits beside others that have both: an actuator has them."""
+    """Return more evidence of inputs without limits beside others that have both: an actuator has them.
+
+    Of several without limits of which nothing else is known it says nothing.
+    """
     limited = [
         name for name in names if wordings[name].is_limited and evidence.get(name, (0, ()))[0] < LIKELY
     ]
     if not limited:
         return {}
+    free = [n for n in evidence if not (wordings[n].is_limited or wordings[n].says_driven)]
+    unknown = [name for name in free if not evidence[name][0]]
     have = f"{listed(limited, _LISTED, 'inputs')} {'has' if len(limited) == 1 else 'have'}"
     return {
         name: (points + LIKELY, (*reasons, f"it has no limits, as {have}"))
-        for name, (points, reasons) in evidence.items()
-        if points < CERTAIN and not (wordings[name].is_limited or wordings[name].says_driven)
+        for name, (points, reasons) in ((name, evidence[name]) for name in free)
+        if points < CERTAIN and (points or len(unknown) == 1)
     }
 
 
@@ -229,7 +234,8 @@ def controller_words(
     for j, output in enumerate(outputs):
         row = tested.responses[j]
         for i, wanted in enumerate(inputs):
-            if control_error(words[wanted.name]) and command(words[output.name]) and _responds(row[i]):
+            is_error = len(inputs) == 1 and control_error(words[wanted.name])
+            if is_error and command(words[output.name]) and _responds(row[i]):
                 yield _controller(wanted.name, output.name)
                 return
             if not setpoint(words[wanted.name]):

@@ -247,6 +247,7 @@ _SETPOINTS = vocabulary(
     "setpoint setpt set sp ref reference target desired wanted soll yref yset xset rset us r w"
 )
 _MEASURED = vocabulary("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym um y m")
+_SHORT = 2  # words: a name that says little else
 _ERRORS = vocabulary("error err e deviation")
 _COMMANDS = vocabulary(
     "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
@@ -287,7 +288,8 @@ def measurement(wording: Wording) -> bool:
 
 def control_error(wording: Wording) -> bool:
     """Whether a signal is called a deviation from what is wanted."""
-    return bool(wording.name & _ERRORS or wording.text & {"error", "deviation"})
+    by_name = len(wording.words) <= _SHORT and not wording.path and bool(set(wording.words) & _ERRORS)
+    return by_name or {"control", "error"} <= wording.text
 
 
 def command(wording: Wording) -> bool:
@@ -301,7 +303,7 @@ _READ = vocabulary(
 )
 _SPENT = vocabulary(
     "power energy cost price consumption work losses loss efficiency cop heat flux balance total cumulative "
-    "cmd command status mode flag setpoint set"
+    "cmd command status mode flag limit limits setpoint set"
 )
 _INTERNAL = vocabulary(
     "internal debug der aux auxiliary dummy tmp state derivative residual error err log diag"

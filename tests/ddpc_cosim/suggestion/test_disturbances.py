@@ -230,6 +230,13 @@ def test_a_controller_is_called_one(
             (Variable("q_a", "m3/s", start=1.0), Variable("q_b", "m3/s", start=1.0)),
             lambda v: {"level": v.q_a - v.q_b - 0.01 * (v.level - 1)},
         ),
+        # A bond graph's effort is not an error, nor its limit a command.
+        model(
+            "bond",
+            "Act_Limits [m] = 1",
+            (Variable("p_e"), Variable("q")),
+            lambda v: {"Act_Limits": v.p_e + v.q - v.Act_Limits},
+        ),
         # A room with a control of its own answers to its setpoint.
         model(
             "room",

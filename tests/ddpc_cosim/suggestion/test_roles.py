@@ -112,7 +112,7 @@ def test_what_words_and_units_say_of_inputs(inputs: str, disturbances: set[str])
         ("a, b", [], ["a", "b"]),
         ("u1 [V], u2 [V]", ["u1"], ["u1", "u2"]),  # both are called inputs
         ("fan, valve", ["fan"], ["fan", "valve"]),  # both are devices
-        ("glucoseFeed, base, acid", ["glucoseFeed"], ["glucoseFeed"]),
+        ("glucoseFeed, base, acid", ["glucoseFeed"], ["glucoseFeed", "base", "acid"]),
         ("duty, Vin [V]", ["duty"], ["duty"]),
         ("insulin, meal [g/min]", ["insulin"], ["insulin"]),
     ],
