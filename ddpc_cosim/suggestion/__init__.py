@@ -24,18 +24,28 @@ from ddpc_cosim.study.file_format.sections import (
     ControllerSection,
     LoopSection,
     PlantSection,
-    RecordingSection,
     Study,
 )
 from ddpc_cosim.suggestion import design
+from ddpc_cosim.suggestion.acting import Acting
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
+from ddpc_cosim.suggestion.joining import Joined, join
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.roles import (
+    MOST_SUSPECTS,
+    Roles,
+    controller_words,
+    order_of_inputs,
+    order_of_outputs,
+    roles_of,
+)
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.systems import System
 from ddpc_cosim.suggestion.trial import Tell, tried_out
+from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -43,6 +53,7 @@ _MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50
 _MOST_LISTED = 12
 _STEP_TEST = 0.5  # of the time for all
 _SAMPLES = 200
+_SAMPLES_PER_LEVEL = 5  # of a disturbance in the experiment
 # Blocks of 24 samples, each twice as long as the one before: twelve of them have about 10^5 first steps.
 _BLOCKS, _BLOCKS_OF_FIXED_STEPS = 12, 8
 _FIRST_STEPS = 24 * (2**_BLOCKS - 1)
@@ -54,7 +65,7 @@ _LONGEST_IN_STOP_TIMES = 10.0
 
 
 def suggest_study(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -72,8 +83,8 @@ def suggest_study(
 
     Parameters
     ----------
-    path : str or Path
-        The FMU.
+    path : str or Path, or a sequence of them
+        The FMU, or an SSP archive; several FMUs become a coupled plant, whose connections are proposed.
     inputs, outputs : sequence of str, optional
         Signals to use; default: those that the step test shows to be of use.
     at : mapping of str to number or str, optional
@@ -101,21 +112,25 @@ def suggest_study(
     CosimError
         It cannot be loaded, or does not run.
     """
-    path = Path(path)
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
+    path, label = paths[0], " + ".join(file.name for file in paths)
+    joined = _joined(paths) if len(paths) > 1 else None
     with demanded(sandbox):
-        system = System(path) if path.suffix.lower() == ".ssp" else None
+        system = System(joined.section, joined.experiment) if joined else _archive(path)
         for file in system.files if system else (path,):
             compile_ahead(file, tell)
     deadline = monotonic() + budget
-    tell(f"reading {path.name}")
-    description, steps = (system.description, None) if system else _runnable(path)
+    tell(f"reading {label}")
+    title = joined.title if joined else path.stem
+    description, steps, title = (system.description, None, title) if system else _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
-    request.check(description, path.name, steps)
-    driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
-    read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
+    request.check(description, label, steps)
+    roles = _roles(description, request)
+    driven, drives_too = _candidates(description, label, request, "input", roles)
+    read, reads_too = _candidates(description, label, request, "output", roles)
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
     timing = replace(_timing(description, request), budget=share * budget)
-    tell(f"step test of {path.name}")
+    tell(f"step test of {label}")
     overrides = {switch: 1.0 for name, switch in description.switches.items() if name in driven}
 
     def open_plant(start: Mapping[str, float]) -> TestedPlant:
@@ -123,45 +138,52 @@ def suggest_study(
         return (system.open if system else partial(FMUPlant, path, isolated=True))(
             inputs=driven,
             outputs=read,
-            start={**start, **overrides},
+            start={**overrides, **start},
             step_timeout=min(step_timeout, timing.budget),
             sandbox=sandbox,
         )
 
-    point = find(open_plant, description, request, timing)
+    point = find(open_plant, description, request, timing, roles)
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
         if system.refine(open_plant, point, sample):
-            tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
-            point = find(open_plant, description, request, timing)
+            tell(f"step test of {label}, whose parts exchange values every {system.exchange:g} s")
+            point = find(open_plant, description, request, timing, roles)
     if not point.choice.inputs:
         ends = zip(point.inputs, point.rest, point.rest + point.tested.steps, strict=True)
-        tried = ", ".join(f"{v.name} from {low:g} to {high:g}" for v, low, high in ends)
+        steps_tried = [f"{v.name} from {low:g} to {high:g}" for v, low, high in ends]
+        # The others are named neither here nor elsewhere, as nothing is written.
+        tried = listed([*steps_tried, *drives_too], len(steps_tried), "inputs")
         early = f"; a run ended early: {point.tested.fault}" if point.tested.fault else ""
         raise CosimError(
-            f"{path.name}: no output responds to a step of an input (tried: {tried}); --range tries more, "
-            f"--at another operating point, --output other outputs{early}"
+            f"{label}: no output responds to a step of an input (tried: {tried}); --range tries more, "
+            f"--input other inputs, --at another operating point, --output other outputs{early}"
         )
-    check_identified(path.name, point)
+    check_identified(label, point)
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
     plant = system.section(sample) if system else PlantSection(fmu=str(path.resolve()))
     plant = replace(plant, parameters=request.parameters(description))
-    proposal = _propose(plant, point, sample, (*drives_too, *reads_too))
+    proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
     if trial:
         proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
-    head = (*proposal.comments.get("head", ()), *point.remarks, *(system.remarks if system else ()))
-    return replace(proposal, comments={**proposal.comments, "head": head})
+    controller = controller_words(point.inputs, point.outputs, point.tested)
+    of_system = (*(joined.remarks if joined else ()), *(system.remarks if system else ()))
+    head = (*proposal.comments.get("head", ()), *(() if system else controller), *point.remarks, *of_system)
+    reasons = joined.reasons if joined else ()
+    return replace(proposal, comments={**proposal.comments, "head": head}, reasons=reasons)
 
 
-def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
+def write_study(
+    proposal: Proposal, fmu: str | Path | Sequence[str | Path], out: str | Path, *, replace: bool = False
+) -> Path:
     """Write a suggested study, check it, and return its path.
 
     Parameters
     ----------
     proposal : Proposal
         The study.
-    fmu : str or Path
-        The FMU; the file names it relative to its own folder where it can.
+    fmu : str or Path, or a sequence of them
+        The FMU, or all of them; the file names them relative to its own folder where it can.
     out : str or Path
         The file.
     replace : bool
@@ -178,7 +200,8 @@ def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace
     if out.exists() and not replace:
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
     out.parent.mkdir(parents=True, exist_ok=True)
-    text = study_text(proposal, _relative(Path(fmu), out.parent))
+    fmus = [fmu] if isinstance(fmu, str | Path) else fmu
+    text = study_text(proposal, *(_relative(Path(file), out.parent) for file in fmus))
     with out.open("w", encoding="utf-8", newline="\n") as file:
         file.write(text)
     read_study(str(out))
@@ -192,37 +215,65 @@ def _relative(fmu: Path, folder: Path) -> str:
         return fmu.resolve().as_posix()
 
 
-def _runnable(path: Path) -> tuple[PlantDescription, StepSizes]:
-    """Return the description of an FMU that nothing is known to keep from running, and its steps."""
+def _archive(path: Path) -> System | None:
+    is_archive = path.suffix.lower() == ".ssp"
+    return System(PlantSection(ssp=str(path.resolve()))) if is_archive else None
+
+
+def _joined(paths: Sequence[Path]) -> Joined:
+    """Return several FMUs as one plant."""
+    if archives := [path.name for path in paths if path.suffix.lower() == ".ssp"]:
+        raise ConfigError(f"{', '.join(archives)}: an SSP is a system by itself; give it alone, or FMUs only")
+    runnable = [_runnable(path) for path in paths]
+    titles = [title for _, _, title in runnable]
+    return join(paths, [description for description, _, _ in runnable], " and ".join(dict.fromkeys(titles)))
+
+
+def _runnable(path: Path) -> tuple[PlantDescription, StepSizes, str]:
+    """Return the description of an FMU that nothing is known to keep from running, its steps and its name."""
     inspection = inspect_fmu(path)
     if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
         raise FMUImportError(f"{path.name}: {'; '.join(errors)}")
     declared = inspection.declared
     steps = StepSizes(declared, choose_interface(declared, "auto", path.name), path.name)
-    return describe_plant(declared, path.name, "auto"), steps
+    return describe_plant(declared, path.name, "auto"), steps, declared.model_name.strip() or path.stem
+
+
+def _roles(description: PlantDescription, request: Request) -> Roles:
+    """Return what inputs are for; what is asked for, by name or by a range, is driven."""
+    roles = roles_of(description)
+    wanted = {*(request.inputs or ()), *request.ranges}
+    acting = {name: why for name, why in roles.disturbances.items() if name not in wanted}
+    asked = [name for name in roles.disturbances if name in wanted]
+    return replace(roles, driven=(*roles.driven, *asked), disturbances=acting)
 
 
 def _candidates(
-    description: PlantDescription, label: str, request: Request, causality: str, most: int
+    description: PlantDescription, label: str, request: Request, causality: str, roles: Roles
 ) -> tuple[list[str], list[str]]:
     """Return the signals to try, and those that are left out because there are so many."""
     chosen = request.inputs if causality == "input" else request.outputs
+    suspects = [name for name in roles.disturbances if causality == "input"]
     if chosen is not None:
-        return list(chosen), []
-    switches = set(description.switches.values())
-    usual = (signal.variable.name for signal in default_signals(description, causality))
-    known = [name for name in usual if name not in switches]
+        return [*chosen, *suspects[:MOST_SUSPECTS]], []
+    signals = {signal.variable.name: signal.variable for signal in default_signals(description, causality)}
+    if causality == "input":
+        known = order_of_inputs(roles.driven, description.inputs)
+    else:
+        known = order_of_outputs([*signals.values()], [*description.switches])
     if not known:
-        locals_ = [signal.variable.name for signal in description.signals("local")][:_MOST_LISTED]
-        hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""
+        names = [signal.variable.name for signal in description.signals("local")]
+        locals_ = listed(names, _MOST_LISTED, "local variables")
+        hint = f"; local variables may serve, with --output: {locals_}" if locals_ else ""
         why = "drive; `simulate` runs it in open loop" if causality == "input" else f"control{hint}"
         what = "system" if label.lower().endswith(".ssp") else "FMU"
         raise ConfigError(
             f"{label}: the {what} has no {causality} that is a number: there is nothing to {why}"
         )
     known.sort(key=lambda name: name not in request.ranges)  # what is asked for comes first
-    return known[:most], known[most:]
+    most = _MOST_INPUT_CANDIDATES if causality == "input" else _MOST_OUTPUT_CANDIDATES
+    return known[:most] + suspects[:MOST_SUSPECTS], known[most:] + suspects[MOST_SUSPECTS:]
 
 
 def _timing(description: PlantDescription, request: Request) -> Timing:
@@ -240,7 +291,13 @@ def _timing(description: PlantDescription, request: Request) -> Timing:
     )
 
 
-def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Sequence[str]) -> Proposal:
+def _propose(
+    plant: PlantSection,
+    point: TriedPoint,
+    sample: float,
+    title: str,
+    left_out: tuple[Sequence[str], Sequence[str]],
+) -> Proposal:
     """Return a proposal for a plant, of which only the signals and their sizes are left open."""
     tested, choice, bounds, request = point.tested, point.choice, point.bounds, point.request
     inputs = tuple(point.inputs[i] for i in choice.inputs)
@@ -263,9 +320,13 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
         lasting=choice.gains * u_size / y_size,
     )
     chosen = suggested_controllers(gains, may_record=not unstable)
-    needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
+    acting = Acting.of(point, design.clean(_SAMPLES_PER_LEVEL * sample))
+    sizes = len(inputs) + len(acting.moving), len(outputs), len(measurements)
+    needed = max(_recording_length(c, *sizes) for c in chosen.values())
     samples = max(_SAMPLES, 2 * needed)
-    circumstances = Circumstances(point.inputs, point.outputs, tested, choice, sample, unstable)
+    circumstances = Circumstances(
+        point.inputs, point.outputs, tested, choice, sample, unstable, acting=frozenset(point.disturbances)
+    )
     plant = replace(
         plant,
         inputs=[v.name for v in inputs],
@@ -276,12 +337,13 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
     )
     excitation = {} if unstable else design.excitation(inputs, working, samples)
     study = Study(
-        title=f"Control of {Path(plant.label).stem}",
+        title=f"Control of {title}",
         plant=plant,
         loop=LoopSection(sampling_time=float(sample), duration=duration),
         reference=references,
         bounds={v.name: BoundsSection(min=bounds[v.name].low, max=bounds[v.name].high) for v in inputs},
-        recording=RecordingSection(samples=samples, excitation=excitation) if excitation else None,
+        disturbances=acting.known,
+        recording=acting.recorded(samples, excitation) if excitation else None,
         controllers=chosen,
     )
     return Proposal(
@@ -290,7 +352,7 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
         outputs=outputs,
         measurements=measurements,
         origins={v.name: bounds[v.name].origin for v in inputs},
-        comments=comments(circumstances, left_out, point.warnings),
+        comments=_both(comments(circumstances, left_out, point.warnings), acting.comments),
         hints=tuple(hints(circumstances, point.room)),
         gains=_settled_gains(tested, choice),
         rest=design.where_it_rests(tested)[list(choice.outputs)],
@@ -321,6 +383,13 @@ def _settled_gains(tested: StepTest, choice: Choice) -> FloatArray:
     settles = {ResponseType.INSENSITIVE, ResponseType.SETTLED}
     known = [all(tested.responses[j][i].type in settles for i in choice.inputs) for j in choice.outputs]
     return np.where(np.array(known)[:, np.newaxis], choice.gains, np.nan)
+
+
+def _both(
+    comments: Mapping[str, tuple[str, ...]], more: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """Return comments by section, of two kinds."""
+    return {**comments, **{section: (*comments.get(section, ()), *texts) for section, texts in more.items()}}
 
 
 def _recording_length(controller: ControllerSection, *signals: int) -> int:

@@ -1,21 +1,24 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from time import monotonic
 
 import numpy as np
 
-from ddpc_cosim.description import Declarations
+from ddpc_cosim.description import Declarations, switches_of
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds
+from ddpc_cosim.suggestion.embedded import Embedded, embedded_control
 from ddpc_cosim.suggestion.request import Request
+from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.roles import Roles, usual_range, without
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
 from ddpc_cosim.variables import FloatArray, Variable
@@ -49,6 +52,18 @@ class TriedPoint:
     tested: StepTest
     choice: Choice
     remarks: tuple[str, ...] = ()
+    disturbances: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def lively(self) -> frozenset[str]:
+        """The inputs that move an output, but for what looks like a disturbance."""
+        columns = zip(self.inputs, zip(*self.tested.responses, strict=True), strict=True)
+        return frozenset(
+            variable.name
+            for variable, column in columns
+            if variable.name not in self.disturbances
+            and any(r.type is not ResponseType.INSENSITIVE for r in column)
+        )
 
     @property
     def influence(self) -> float:
@@ -57,7 +72,11 @@ class TriedPoint:
 
 
 def find(
-    open_plant: Callable[..., TestedPlant], description: Declarations, request: Request, timing: Timing
+    open_plant: Callable[..., TestedPlant],
+    description: Declarations,
+    request: Request,
+    timing: Timing,
+    roles: Roles,
 ) -> TriedPoint:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -69,6 +88,8 @@ def find(
         What it says about itself.
     request, timing
         What is asked for, and what is known about time.
+    roles : Roles
+        What its inputs are for.
 
     Raises
     ------
@@ -78,13 +99,21 @@ def find(
     ends = monotonic() + timing.budget
     every = [signal.variable for signal in description.signals("input")]
     given = request.start(description)
-    usual = _usual_levels(every, given, request.ranges)
-    remarks = _remarks_on(usual, every)
     parameters = request.parameters(description)
-    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
+    resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
+    switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
+    embedded = embedded_control(open_plant, switches, parameters, timing)
+    usual = _usual_levels(every, {**given, **embedded.levels}, request.ranges)
+    remarks = [*_remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
+    at_start = _at(open_plant, {**usual, **embedded.levels, **given}, {}, parameters, request, timing, roles)
+    at_start = _held(at_start, embedded, open_plant, parameters, ends, roles)
+    at_start = _switched_on(at_start, open_plant, parameters, ends, roles, given)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
-    levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
+    # What rests elsewhere than at 0, or acts from outside, stays: it is what the plant's author had in mind.
+    resting = zip((variable.name for variable in at_start.inputs), at_start.rest, strict=True)
+    stays = {*usual, *given, *roles.disturbances, *(name for name, level in resting if level)}
+    levels = {name: level for name, level in half.items() if name not in stays}
     attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
     for factor in _WIDER:
         wider = _wider(at_start.inputs, at_start.bounds, factor)
@@ -97,12 +126,94 @@ def find(
         if not remark:
             continue
         try:
-            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
+            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left), roles)
         except CosimError:  # it does not run there
             continue
         if point.influence > _BETTER * best.influence:
             best = replace(point, remarks=(*remarks, remark, *point.remarks))
-    return best
+    if best.choice.inputs or not roles.disturbances:
+        return best
+    return _driving_suspects(best, open_plant, parameters, ends, roles)
+
+
+def _held(
+    point: TriedPoint,
+    embedded: Embedded,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+) -> TriedPoint:
+    """Return the point with overrides where they hold what the plant's own control holds."""
+    unknown = replace(embedded, overrides=tuple(n for n in embedded.overrides if n not in embedded.levels))
+    y = design.where_it_rests(point.tested)
+    levels = unknown.holding(point.inputs, point.rest, y, point.choice, point.bounds)
+    left = max(ends - monotonic(), _LEAST_TIME)
+    if not levels:
+        return point
+    start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
+    try:
+        held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles)
+    except CosimError:  # it does not run there
+        return point
+    if len(held.lively) < len(point.lively):
+        return point
+    return replace(held, remarks=(*_remarks_on_overrides(levels), *held.remarks))
+
+
+def _remarks_on_overrides(levels: Mapping[str, float]) -> list[str]:
+    """Return what is said of overrides that rest where the plant's own control has them."""
+    return [
+        f"{name} starts at 0 and rests at {level:.4g} here, about what the plant's own control does; "
+        f"--at {name}=LEVEL moves it"
+        for name, level in levels.items()
+    ]
+
+
+def _driving_suspects(
+    point: TriedPoint,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+) -> TriedPoint:
+    """Return the point with what looks like a disturbance driven, as nothing else does anything."""
+    timing = replace(point.timing, budget=max(ends - monotonic(), _LEAST_TIME))
+    everything = replace(roles, disturbances={})
+    point = _at(open_plant, point.start, point.bounds, parameters, point.request, timing, everything)
+    driven = [point.inputs[i].name for i in point.choice.inputs if point.inputs[i].name in roles.disturbances]
+    return replace(point, remarks=(*point.remarks, *_remark_on_suspects(driven, roles, "an output")))
+
+
+def _switched_on(
+    point: TriedPoint,
+    open_plant: Callable[..., TestedPlant],
+    parameters: Mapping[str, ParameterValue],
+    ends: float,
+    roles: Roles,
+    given: Collection[str],
+) -> TriedPoint:
+    """Return the point with what switches the plant on at 1, if more inputs do something then."""
+    levels = {name: level for name, level in roles.enabling.items() if name not in given}
+    levels |= {name: 1.0 for name in roles.perhaps_enabling if name not in given}
+    left = max(ends - monotonic(), _LEAST_TIME)
+    driven = {variable.name for variable in point.inputs} - {*roles.disturbances, *levels}
+    before = len(point.lively & driven)
+    if not levels or before == len(driven):
+        return point
+    start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
+    switching = replace(roles, fixed=roles.perhaps_enabling)
+    try:
+        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, switching)
+    except CosimError:  # it does not run so
+        return point
+    if len(on.lively & driven) <= before:
+        return point
+    said = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
+    remark = (
+        f"{said}: switched on, as more of the inputs do something then; --at {next(iter(levels))}=0 if not"
+    )
+    return replace(on, remarks=(remark, *on.remarks))
 
 
 def _at(
@@ -112,22 +223,24 @@ def _at(
     parameters: Mapping[str, ParameterValue],
     request: Request,
     timing: Timing,
+    roles: Roles,
 ) -> TriedPoint:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
         bounds = bounds or design.input_bounds(
-            plant.inputs, request.ranges, _parameters(plant.description, parameters)
+            plant.inputs,
+            _usual_ranges(plant.inputs, roles) | {**request.ranges},
+            _parameters(plant.description, parameters),
         )
         rest, room = design.rest_and_room(plant.inputs, bounds)
         resting = Resting(rest, room, parameters)
         tested = step_test(plant, resting, timing)
-        choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
-        remarks: tuple[str, ...] = ()
+        choice, remarks = _chosen(plant.inputs, tested, room, timing, request, roles)
         if choice.inputs:
             sample = sampling_time_of(tested, choice, timing, request)
             share = dependence_on_step_size(plant, resting, tested, sample)
             if share > _DEPENDS:
-                remarks = (
+                remarks += (
                     f"The FMU's result depends on the communication step size: with {sample:g} s and with "
                     f"{sample / 2:g} s its outputs differ by {share:.0%} of what they move by. What is said "
                     f"here holds for steps of {sample:g} s; --sampling-time H for others",
@@ -135,7 +248,8 @@ def _at(
                 request = replace(request, sampling_time=sample)
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
-                choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
+                choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
+        driven = {plant.inputs[i].name for i in choice.inputs}
         return TriedPoint(
             plant.inputs,
             plant.outputs,
@@ -149,7 +263,52 @@ def _at(
             tested,
             choice,
             remarks,
+            {name: why for name, why in roles.disturbances.items() if name not in driven},
         )
+
+
+def _usual_ranges(inputs: Iterable[Variable], roles: Roles) -> dict[str, tuple[float, float]]:
+    """Return between what values disturbances lie, as far as their units tell."""
+    acting = (variable for variable in inputs if variable.name in roles.disturbances)
+    return {v.name: limits for v in acting if (limits := usual_range(v)) is not None}
+
+
+def _chosen(
+    inputs: Sequence[Variable],
+    tested: StepTest,
+    room: FloatArray,
+    timing: Timing,
+    request: Request,
+    roles: Roles,
+) -> tuple[Choice, tuple[str, ...]]:
+    """Return the choice among inputs that are not suspects, or moves an output that nothing else moves."""
+    suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
+    handles = [i for i in range(len(inputs)) if i not in suspects]
+    alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
+    suspects = [i for i in suspects if i not in alone]
+    fixed = [i for i, variable in enumerate(inputs) if variable.name in roles.fixed]
+    responses, less_room = without(tested, room, [*suspects, *fixed])
+    all_outputs = request.outputs is not None
+    choice = choose(replace(tested, responses=responses), less_room, timing.guess, all_outputs=all_outputs)
+    driven = [inputs[i].name for i in alone if i in choice.inputs]
+    return choice, _remark_on_suspects(driven, roles, "an output that it moves")
+
+
+def _remark_on_suspects(driven: Sequence[str], roles: Roles, what: str) -> tuple[str, ...]:
+    whys = ", ".join(f"{name} ({roles.disturbances[name]})" for name in driven)
+    said = f"Driven though it may be a disturbance, as nothing else moves {what}: {whys}"
+    return (said,) if driven else ()
+
+
+def _moves_alone(tested: StepTest, suspect: int, handles: Sequence[int]) -> bool:
+    """Whether an output takes its time to answer to an input, and to nothing that may be driven."""
+    still = ResponseType.INSENSITIVE
+    return any(
+        row[suspect].type is not still
+        and not tested.is_immediate(row[suspect])
+        and all(row[i].type is still for i in handles)
+        for row in tested.responses
+    )
 
 
 def _parameters(description: Declarations, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:

@@ -1,4 +1,4 @@
-"""An SSP archive for a step test: opened as one plant, whose parts exchange values often enough."""
+"""A system of FMUs for a step test: opened as one plant, whose parts exchange values often enough."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ddpc_cosim.coupling.plant import CoupledPlant
+from ddpc_cosim.description import DefaultExperiment
 from ddpc_cosim.errors import ConfigError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.study.file_format.sections import CouplingSection, PlantSection
@@ -47,8 +49,10 @@ class System:
 
     Parameters
     ----------
-    path : Path
-        The archive.
+    section : PlantSection
+        The plant of a study that has it: an SSP archive, or parts and their connections.
+    experiment : DefaultExperiment, optional
+        What its authors had in mind, if it does not say so itself.
 
     Attributes
     ----------
@@ -56,8 +60,6 @@ class System:
         What it says about itself.
     exchange : float
         Longest time between two exchanges [s]; what the archive's maker suggests, or any.
-    remarks : tuple of str
-        What is to be said of it.
 
     Raises
     ------
@@ -65,14 +67,25 @@ class System:
         It cannot be run, and why.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._section = PlantSection(ssp=str(path.resolve()), coupling=_COUPLING)
+    def __init__(self, section: PlantSection, experiment: DefaultExperiment | None = None) -> None:
+        self._section = replace(section, coupling=_COUPLING)
         self._spec = PlantSpec.of(self._section, Path())
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()
-        self.description = self._spec.variables()
+        described = self._spec.variables()
+        self.description = replace(described, default_experiment=experiment or described.default_experiment)
         self.exchange = self.description.default_experiment.step_size or math.inf
-        self.remarks: tuple[str, ...] = ()
+        self._remarks: tuple[str, ...] = ()
+        self._loops: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be said of it, after it has been opened."""
+        loops = (
+            f"Algebraic loop: {', '.join(loop)} depend on each other without delay: solved at each exchange"
+            for loop in self._loops
+        )
+        return (*loops, *self._remarks)
 
     def refine(self, open_plant: Callable[..., Any], point: TriedPoint, sampling_time: float) -> bool:
         """Have values exchanged so often that twice as often makes no difference; return whether that is new.
@@ -99,7 +112,7 @@ class System:
                     break
                 wanted, rows = wanted / 2, finer
             else:
-                self.remarks = (
+                self._remarks = (
                     "The outputs still depend on how often the parts exchange values, here every "
                     f"{wanted:g} s: try a smaller plant.coupling.communication_step",
                 )
@@ -138,6 +151,8 @@ class System:
         """Open it, each FMU in a process of its own."""
         isolation = {"isolated": True, "step_timeout": step_timeout, "sandbox": sandbox}
         plant = self._spec.starting_at(start).isolating(isolation).open(inputs, outputs)
+        if isinstance(plant, CoupledPlant):
+            self._loops = plant.loops
         return OpenSystem(plant, self)
 
 

@@ -18,6 +18,7 @@ from ddpc_cosim.suggestion.design import WHY_SETTINGS, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import SHARE, StepTest
+from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.variables import FloatArray, Variable
 
 _WIDTH = 110
@@ -45,6 +46,8 @@ class Proposal:
         Where the outputs rest.
     asked : Request
         What the user wants to have kept.
+    reasons : tuple of str
+        Why each connection of a coupled plant is proposed.
     """
 
     study: Study
@@ -57,6 +60,7 @@ class Proposal:
     gains: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     rest: FloatArray = field(default_factory=lambda: np.zeros(0))
     asked: Request = field(default_factory=Request)
+    reasons: tuple[str, ...] = ()
 
     def changed(self, **sections: Any) -> Self:
         """Return the proposal with other sections of the study, by their names."""
@@ -83,18 +87,23 @@ _OF_TABLES: dict[Place, str] = {
 }
 
 
-def study_text(proposal: Proposal, fmu: str) -> str:
+def study_text(proposal: Proposal, *fmus: str) -> str:
     """Return the study file.
 
     Parameters
     ----------
     proposal : Proposal
         What to write.
-    fmu : str
-        Path of the FMU as the file is to say it.
+    *fmus : str
+        Path of the FMU, or of each part's, as the file is to say it.
     """
     study = proposal.study
-    plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
+    if study.plant.parts:
+        parts = [replace(part, fmu=fmu) for part, fmu in zip(study.plant.parts, fmus, strict=True)]
+        plant = replace(study.plant, parts=parts)
+    else:
+        (fmu,) = fmus
+        plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
     said = {"title": study.title, "seeds": study.seeds}
     tables = said | write_in_short(replace(study, plant=plant))
     above: dict[Place, Sequence[str]] = {(key,): texts for key, texts in proposal.comments.items()}
@@ -114,6 +123,8 @@ def _remarks(proposal: Proposal) -> dict[Place, str]:
     for key in ("inputs", "outputs", "measurements"):
         signals: Sequence[Variable] = getattr(proposal, key)
         remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}
+    remarks |= {("plant", "connections", i): why for i, why in enumerate(proposal.reasons)}
+    remarks |= {("plant", "parts", i): "" for i in range(len(proposal.study.plant.parts))}
     remarks |= {("reference", name, "times"): "s" for name in proposal.study.reference or {}}
     remarks |= {("bounds", name): origin for name, origin in proposal.origins.items()}
     return remarks | {("recording", "excitation", v.name): _unit(v) for v in proposal.inputs}
@@ -187,7 +198,9 @@ def _line(key: str, value: Any) -> str:
 def _comment_lines(texts: Iterable[str]) -> Iterator[str]:
     from textwrap import wrap
 
-    return (f"# {line}" for text in texts for line in wrap(_one_line(text), _WIDTH - 2))
+    return (
+        f"# {line}" for text in texts for line in wrap(_one_line(text), _WIDTH - 2, break_on_hyphens=False)
+    )
 
 
 def _one_line(text: str) -> str:
@@ -215,6 +228,8 @@ class Circumstances:
         The sampling time [s].
     unstable : bool
         Whether the plant is taken for unstable.
+    acting : frozenset of str
+        Inputs that are taken for disturbances.
     """
 
     inputs: Sequence[Variable]
@@ -223,10 +238,11 @@ class Circumstances:
     choice: Choice
     sample: float
     unstable: bool
+    acting: frozenset[str] = frozenset()
 
 
 def comments(
-    about: Circumstances, left_out: Sequence[str], warnings: Sequence[str]
+    about: Circumstances, left_out: tuple[Sequence[str], Sequence[str]], warnings: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
     """Return the comments by section of the study file.
 
@@ -234,8 +250,8 @@ def comments(
     ----------
     about : Circumstances
         The step test and the choice.
-    left_out : sequence of str
-        Signals that were not tried.
+    left_out : pair of sequences of str
+        Inputs and outputs that were not tried.
     warnings : sequence of str
         What is wrong with the FMU but does not keep it from running.
     """
@@ -281,22 +297,24 @@ def _in_words(response: Response) -> str:
             return f"oscillates by up to {response.peak:.3g} and does not settle"
 
 
-def _on_what_is_left_out(about: Circumstances, left_out: Sequence[str]) -> Iterator[str]:
-    idle = [v.name for i, v in enumerate(about.inputs) if i not in about.choice.inputs]
+def _on_what_is_left_out(
+    about: Circumstances, left_out: tuple[Sequence[str], Sequence[str]]
+) -> Iterator[str]:
+    chosen = about.choice.inputs
+    idle = [v.name for i, v in enumerate(about.inputs) if i not in chosen and v.name not in about.acting]
     if idle:
-        yield f"Inputs left out, as they rest or do little: {_join_words(idle)}."
+        yield f"Inputs left out, as they rest or do little: {listed(idle, _LISTED, 'inputs')}."
     others = [v.name for j, v in enumerate(about.outputs) if j not in about.choice.outputs]
     if others:
-        yield f"Outputs not controlled: {_join_words(others)}."
-    if left_out:
-        yield f"Not tried, as there are so many: {_join_words(left_out)}."
+        yield f"Outputs not controlled: {listed(others, _LISTED, 'outputs')}."
+    for names, tried, what in zip(
+        left_out, (about.inputs, about.outputs), ("inputs", "outputs"), strict=True
+    ):
+        if names:
+            count = f"{len(tried)} of {len(tried) + len(names)} {what}"
+            yield f"Tried are {count}; not tried, as there are so many: {listed(names, _LISTED, what)}."
     if about.tested.fault:
         yield f"A run of the step test ended early: {about.tested.fault}"
-
-
-def _join_words(of: Sequence[str]) -> str:
-    more = len(of) - _LISTED
-    return ", ".join(of[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _on_timing(about: Circumstances) -> Iterator[str]:
@@ -320,16 +338,18 @@ def _on_setpoints(about: Circumstances) -> Iterator[str]:
     yield "Changes that the inputs can hold with about a third of their ranges, from where the plant rests."
     moving = [about.outputs[j].name for j in about.choice.outputs if drifting(about.tested)[j]]
     if moving:
-        yield f"{_join_words(moving)}: drifts even while the inputs rest; the setpoints are around its start."
+        which = listed(moving, _LISTED, "outputs")
+        yield f"{which}: drifts even while the inputs rest; the setpoints are around its start."
 
 
 def _on_recording(about: Circumstances) -> Iterator[str]:
     if about.unstable:
         rows = zip(about.outputs, about.tested.responses, strict=True)
         unsettled = [output.name for output, row in rows if any(response.is_unstable for response in row)]
+        which = listed(unsettled, _LISTED, "outputs")
         yield (
             "No recording and no controller that learns from one: the plant leaves its equilibrium by "
-            f"itself ({_join_words(unsettled)}), so an open-loop experiment is of no use. It has to be "
+            f"itself ({which}), so an open-loop experiment is of no use. It has to be "
             "stabilised first, and the settings below may not do that."
         )
         return

@@ -13,7 +13,7 @@ from ddpc_cosim.errors import ConfigError, CosimWarning
 
 @command
 def init(
-    fmu: Path = options.FMU,
+    fmus: tuple[Path, ...] = options.FMUS,
     out: Path = option(Path("study.toml"), "The study.", show_default=True),
     inputs: tuple[str, ...] = option(
         (), "Drive this input; may be repeated.", name="--input", metavar="NAME"
@@ -40,17 +40,17 @@ def init(
     ),
     sandbox: bool = options.SANDBOX,
 ) -> int:
-    """Write a study for an FMU or an SSP, from a step test, with controllers that were tried on it."""
+    """Write a study for an FMU, an SSP, or FMUs that it connects, with controllers that were tried on it."""
     levels = assignments("--at", at, _number_or_text)
     limits = assignments("--range", ranges, _limits)
     if out.exists() and not force:  # before the step test, which may take a while
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
-    with warnings.catch_warnings(), shown(f"init {fmu.name}") as progress:
+    with warnings.catch_warnings(), shown(f"init {' '.join(fmu.name for fmu in fmus)}") as progress:
         from ddpc_cosim.suggestion import suggest_study, write_study
 
         warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
         proposal = suggest_study(
-            fmu,
+            fmus,
             inputs=list(inputs) or None,
             outputs=list(outputs) or None,
             at=levels,
@@ -62,7 +62,7 @@ def init(
             tell=progress,
             sandbox=sandbox,
         )
-        path = write_study(proposal, fmu, out, replace=force)
+        path = write_study(proposal, fmus, out, replace=force)
     driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
     say(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s")
     for line in proposal.comments.get("head", ()):

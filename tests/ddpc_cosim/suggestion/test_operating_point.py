@@ -45,7 +45,7 @@ def test_an_ambient_that_would_start_at_0_kelvin_is_asked_about(
     house = model("house", ROOM, (HEAT, AMBIENT), lambda v: (v.ambient + 10 * v.heat - v.room) / 600)
     study, text = study_of(build_fmu(house), tmp_path)
     assert study["plant"]["start"] == {"ambient": 293.15}
-    assert study["bounds"]["ambient"] == {"min": 273.15, "max": 313.15}
+    assert study["disturbances"]["ambient"]["signal"] == {"kind": "constant", "value": 293.15}
     assert "ambient starts at 0 K, which can hardly be meant: tried at 293.15 K" in text
     assert "--at ambient=293.15" in text
     given, text = study_of(build_fmu(house), tmp_path / "given", at={"ambient": 280.0})
