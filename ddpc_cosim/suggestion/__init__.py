@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 
@@ -17,8 +16,8 @@ from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
-from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.processes.sandbox import demanded
+from ddpc_cosim.signals.signals import Reference
 from ddpc_cosim.study.file_format.sections import (
     BoundsSection,
     ControllerSection,
@@ -31,11 +30,14 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
+from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.quantities import plausible_outputs
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.systems import System
 from ddpc_cosim.suggestion.trial import Tell, tried_out
+from ddpc_cosim.suggestion.values import AskedRange, OperatingPoint, operating_point, with_own_units
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -48,6 +50,7 @@ _BLOCKS, _BLOCKS_OF_FIXED_STEPS = 12, 8
 _FIRST_STEPS = 24 * (2**_BLOCKS - 1)
 # Where the FMU gives no stop time: from a tenth of a millisecond to a day [s].
 _FIRST_STEP, _LONGEST = 1e-4, 1e5
+_BEYOND = 1e6  # s: days, as a house needs them
 # Where steps must be equal and the FMU does not say of what size.
 _STEPS, _STEP = 500, 1e-2
 _LONGEST_IN_STOP_TIMES = 10.0
@@ -58,8 +61,8 @@ def suggest_study(
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
-    at: Mapping[str, ParameterValue] | None = None,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
+    at: OperatingPoint | None = None,
+    ranges: Mapping[str, AskedRange] | None = None,
     sampling_time: float | None = None,
     duration: float | None = None,
     step_timeout: float = 60.0,
@@ -76,16 +79,19 @@ def suggest_study(
         The FMU.
     inputs, outputs : sequence of str, optional
         Signals to use; default: those that the step test shows to be of use.
-    at : mapping of str to number or str, optional
-        The operating point: levels of inputs, parameters and start values, by name; default: the FMU's own.
-    ranges : mapping of str to (float, float), optional
-        Of inputs: how far they may go; of outputs: between what values their setpoints are.
+    at : mapping of str to number or str, path, or several of them, optional
+        The operating point: levels of inputs, parameters and start values, by name, with or without a unit
+        (``"20 degC"``), or a file of them; default: the FMU's own.
+    ranges : mapping of str to (float, float) or str, optional
+        Of inputs: how far they may go; of outputs: between what values their setpoints are; in another unit
+        as a text, ``"20:24 degC"``.
     sampling_time, duration : float, optional
         Of the loop [s]; default: what the step test shows.
     step_timeout : float
         Seconds that one call of the FMU may take.
     budget : float
-        Seconds that all of it may take: up to half of them for the step test, the rest for the trial.
+        Seconds of computing that all of it may take: up to half of them for the step test, the rest for the
+        trial. On the wall it may be five times as long, where others have the processors.
     trial : bool
         Whether to run each proposed controller once, to leave out those that fail, and to move setpoints to
         what can be reached.
@@ -109,8 +115,9 @@ def suggest_study(
     deadline = monotonic() + budget
     tell(f"reading {path.name}")
     description, steps = (system.description, None) if system else _runnable(path)
-    request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
-    request.check(description, path.name, steps)
+    levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
+    request = Request(levels, spans, sampling_time, duration, inputs, outputs)
+    request.check(description, path.name, steps, faults)
     driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
@@ -234,7 +241,7 @@ def _timing(description: PlantDescription, request: Request) -> Timing:
         blocks, fixed = _BLOCKS_OF_FIXED_STEPS, True
     else:
         step, blocks, fixed = stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, _BLOCKS, False
-    timing = Timing(step, fixed=fixed, blocks=blocks, longest=longest)
+    timing = Timing(step, fixed=fixed, blocks=blocks, longest=longest, beyond=_BEYOND)
     return replace(
         timing, guess=design.guessed_time_scale(request, stop, experiment.step_size) or timing.guess
     )
@@ -248,9 +255,21 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
     measurements = outputs + _also_measured(point.outputs, outputs, tested)
     working = design.working_range(point.inputs, bounds).of(choice.inputs)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
-    references, duration = design.setpoints(tested, choice, point.outputs, working, sample, request)
-    if unstable:  # there is nothing else to ask for before it is stabilised
-        references = design.near_rest(tested, choice, point.outputs, duration)
+    limited, why = plausible_outputs(point.outputs, design.where_it_rests(tested), request.ranges)
+
+    def steps_of(outputs: Sequence[Variable]) -> tuple[dict[str, Reference], float]:
+        """Return the references within the limits of the outputs."""
+        found, duration = design.setpoints(tested, choice, outputs, working, sample, request, point.reach)
+        # Of an unstable plant there is nothing else to ask for before it is stabilised.
+        return design.near_rest(tested, choice, outputs, duration) if unstable else found, duration
+
+    references, duration = steps_of(limited)
+    unlimited, _ = steps_of(point.outputs)
+    implausible = [
+        f"{name}: {why[name]}; --range {name}=LO:HI if it is meant to go further."
+        for name in references
+        if references[name] != unlimited[name]
+    ]
     levels = zip(point.inputs, point.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
     nominal = _sizes(inputs, working.size) | _sizes(
@@ -266,6 +285,8 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
     needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
     samples = max(_SAMPLES, 2 * needed)
     circumstances = Circumstances(point.inputs, point.outputs, tested, choice, sample, unstable)
+    said = comments(circumstances, left_out, point.warnings)
+    said["reference"] = (*said["reference"], *implausible)
     plant = replace(
         plant,
         inputs=[v.name for v in inputs],
@@ -290,7 +311,7 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
         outputs=outputs,
         measurements=measurements,
         origins={v.name: bounds[v.name].origin for v in inputs},
-        comments=comments(circumstances, left_out, point.warnings),
+        comments=said,
         hints=tuple(hints(circumstances, point.room)),
         gains=_settled_gains(tested, choice),
         rest=design.where_it_rests(tested)[list(choice.outputs)],

@@ -18,7 +18,7 @@ from ddpc_cosim.signals.signals import Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType
+from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType, without_spike
 from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -230,8 +230,9 @@ def _divides(sample: float, duration: float) -> bool:
 
 def _swing_time(time: FloatArray, y: FloatArray) -> float:
     """Return how long an output that moves at rest takes for half its range where it is fastest [s]."""
-    steepest = float(np.max(np.abs(np.diff(y) / np.diff(time))))
-    return float(np.ptp(y)) / 2 / steepest
+    y = without_spike(y)
+    slopes = np.sort(np.abs(np.diff(y) / np.diff(time)))
+    return float(np.ptp(y)) / 2 / float(slopes[-1])
 
 
 def nearest_125(value: float) -> float:
@@ -241,6 +242,26 @@ def nearest_125(value: float) -> float:
     return min(candidates, key=lambda candidate: abs(math.log(candidate / value)))
 
 
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far each chosen output goes from where it rests.
+
+    Parameters
+    ----------
+    up, down : array, shape (p,)
+        Where the inputs are as linear gains say they must be for the setpoints; infinite where that was not
+        tried.
+    """
+
+    up: FloatArray
+    down: FloatArray
+
+    @classmethod
+    def unknown(cls, outputs: int) -> "Reach":
+        """Return what is known of outputs before anything is tried."""
+        return cls(np.full(outputs, np.inf), np.full(outputs, np.inf))
+
+
 def setpoints(
     tested: StepTest,
     choice: Choice,
@@ -248,11 +269,13 @@ def setpoints(
     working: Range,
     sample: float,
     request: Request,
+    reach: Reach | None = None,
 ) -> tuple[dict[str, Reference], float]:
     """Return a reference in steps for each chosen output, and the duration of the loop [s].
 
     One after the other the outputs go up, then down: to the ends of a range that is asked for, else as far as
-    the inputs can hold them, and half of the way to a limit of the output at most.
+    the inputs can hold them (where that was tried, no further than they went), and half of the way to a limit
+    of the output at most.
 
     Raises
     ------
@@ -266,6 +289,8 @@ def setpoints(
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
         raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
     up, down = (np.minimum(way, limits(tested, choice)) for way in reachable(choice.gains, working))
+    if reach is not None:
+        up, down = np.minimum(up, reach.up), np.minimum(down, reach.down)
     references = dict[str, Reference]()
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]
@@ -298,7 +323,10 @@ def near_rest(
     for j in choice.outputs:
         first = float(tested.rest[0, j])
         step = _SMALL_STEP * max(abs(response.effect) or response.peak for response in tested.responses[j])
-        values = (clean(first), rounded(first + step, step / 10))
+        if not first + step <= outputs[j].max and first - step >= outputs[j].min:
+            step = -step
+        step = float(np.clip(first + step, outputs[j].min, outputs[j].max)) - first
+        values = (clean(first), rounded(first + step, abs(step) / 10))
         references[outputs[j].name] = Steps((0.0, clean(duration / 2)), values)
     return references
 

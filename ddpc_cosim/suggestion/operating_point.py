@@ -1,10 +1,8 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
-from time import monotonic
 
 import numpy as np
 
@@ -14,7 +12,10 @@ from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
-from ddpc_cosim.suggestion.design import Bounds
+from ddpc_cosim.suggestion.design import Bounds, Reach
+from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.quantities import remarks_on, usual_levels
+from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
@@ -22,8 +23,6 @@ from ddpc_cosim.variables import FloatArray, Variable
 
 TestedPlant = FMUPlant | OpenSystem
 
-_USUAL = {"K": 293.15, "Pa": 101325.0}
-_OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge|error).*")
 _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
 _BETTER = 10.0
 _HALF = 0.5
@@ -31,6 +30,7 @@ _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
 _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
+_FOR_REACH = 0.2  # of the time for a step test
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,7 @@ class TriedPoint:
     tested: StepTest
     choice: Choice
     remarks: tuple[str, ...] = ()
+    reach: Reach | None = None
 
     @property
     def influence(self) -> float:
@@ -78,8 +79,8 @@ def find(
     ends = monotonic() + timing.budget
     every = [signal.variable for signal in description.signals("input")]
     given = request.start(description)
-    usual = _usual_levels(every, given, request.ranges)
-    remarks = _remarks_on(usual, every)
+    usual = usual_levels(every, given, request.ranges)
+    remarks = remarks_on(usual, every)
     parameters = request.parameters(description)
     at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
@@ -136,6 +137,11 @@ def _at(
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
                 choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
+        reach = None
+        if choice.inputs:
+            working = design.working_range(plant.inputs, bounds).of(choice.inputs)
+            spared = replace(timing, budget=_FOR_REACH * timing.budget)
+            reach = tried_reach(plant, resting, tested, choice, working, spared)
         return TriedPoint(
             plant.inputs,
             plant.outputs,
@@ -149,6 +155,7 @@ def _at(
             tested,
             choice,
             remarks,
+            reach,
         )
 
 
@@ -165,52 +172,6 @@ def sampling_time_of(tested: StepTest, choice: Choice, timing: Timing, request: 
     """Return the sampling time that is asked for, else the one that fits the plant [s]."""
     fixed_step = timing.step if timing.fixed else None
     return request.sampling_time or design.sampling_time(tested, choice, fixed_step, request.duration)
-
-
-def _usual_levels(
-    inputs: Iterable[Variable], given: Collection[str], ranges: Mapping[str, tuple[float, float]]
-) -> dict[str, float]:
-    """Return levels of temperatures and absolute pressures that would start at 0.
-
-    Parameters
-    ----------
-    inputs : iterable of Variable
-        All inputs.
-    given : collection of str
-        Those whose level is known.
-    ranges : mapping of str to (float, float)
-        Those that are asked for.
-
-    Returns
-    -------
-    levels : dict of str to float
-        The nominal value if there is one, else a usual one, by name.
-    """
-    levels = {}
-    for variable in inputs:
-        is_difference = -np.inf < variable.min < 0.0 or any(
-            _OF_DIFFERENCES.fullmatch(part) for part in re.split("[._]", variable.name)
-        )
-        if (
-            variable.unit in _USUAL
-            and variable.start == 0.0
-            and variable.name not in given
-            and not is_difference
-        ):
-            usual = variable.nominal if variable.nominal not in (0.0, 1.0) else _USUAL[variable.unit]
-            low, high = ranges.get(variable.name, (variable.min, variable.max))
-            levels[variable.name] = float(np.clip(usual, low, high))
-    return levels
-
-
-def _remarks_on(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
-    """Return what is said of the inputs that start at such levels."""
-    units = {variable.name: variable.unit for variable in inputs}
-    return [
-        f"{name} starts at 0 {units[name]}, which can hardly be meant: tried at {level:g} {units[name]}; "
-        f"give --at {name}={level:g}, or what is right"
-        for name, level in levels.items()
-    ]
 
 
 def _remark_on_levels(levels: Mapping[str, float]) -> str:

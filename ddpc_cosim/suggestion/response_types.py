@@ -33,6 +33,7 @@ _GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as 
 _PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from it
 _LATE = 1.5  # of the time between two jumps
 _LAGS_UNTIL_PARALLEL = 8.0  # at most, as blocks are twice as long as those before them
+_SPIKE = 3  # samples
 _SAME, _JUMP = 1e-9, 1e-3  # of what there was before: an output that is held, and one that is set anew
 
 
@@ -121,12 +122,35 @@ def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
     level : float
         Magnitude of the output itself: small deviations count in relation to it.
     """
+    deviation = without_spike(deviation)
     peak = float(np.max(np.abs(deviation), initial=0.0))
     if not peak > FLOOR * level:
         return Response(ResponseType.INSENSITIVE)
     held = held_time(time, deviation)
     half_time = float(time[np.argmax(np.abs(deviation) >= peak / 2)])
     return replace(_classify(time, deviation, peak, held), held=held, half_time=half_time)
+
+
+def without_spike(values: FloatArray) -> FloatArray:
+    """Return values whose first samples are those after them, where they stand out from all that follow.
+
+    It is what an initialisation or a derivative leaves, and would hide what takes time.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        As for :func:`classify`.
+    """
+    if len(values) < 2 * BLOCK:
+        return values
+    first, rest = values[:_SPIKE], values[_SPIKE:]
+    middle = (rest.max() + rest.min()) / 2
+    span = float(np.ptp(rest))
+    if not span > _BAND * float(np.ptp(values)) / 10 or np.max(np.abs(first - middle)) <= span:
+        return values
+    clean = values.copy()
+    clean[:_SPIKE] = rest[0]
+    return clean
 
 
 def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float) -> Response:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.suggestion.design import clean, rounded
+from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.writing import Proposal
 from ddpc_cosim.variables import Variable
 
@@ -103,7 +103,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     proposal : Proposal
         The study.
     deadline : float
-        When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
+        When to stop, on the clock of ``pace.monotonic``; also in the middle of a run.
     tell : callable
         Called with what is being done.
     sandboxed : bool
