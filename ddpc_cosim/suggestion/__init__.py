@@ -283,7 +283,7 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
     )
     chosen = suggested_controllers(gains, may_record=not unstable)
     needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
-    samples = max(_SAMPLES, 2 * needed)
+    samples = design.whole_periods(max(_SAMPLES, 2 * needed), sample, tested.period.seconds)
     circumstances = Circumstances(point.inputs, point.outputs, tested, choice, sample, unstable)
     said = comments(circumstances, left_out, point.warnings)
     said["reference"] = (*said["reference"], *implausible)

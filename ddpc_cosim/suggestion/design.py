@@ -49,6 +49,10 @@ _HORIZON, _INITIAL_LENGTH = 15, 5
 _LEAST_SAMPLES_PER_SETPOINT = 4 * _HORIZON
 _SMALL_STEP = 0.2  # of what an unstable output has done after a few doublings
 _REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
+_FADING = 0.7  # of the movement in the time before, which is half as long
+_NEAR = 1.7  # times a sampling time: where parts of a period are as good
+_ROUNDING = 1e-6
+_MOST_IN_PERIODS = 2000  # samples
 _DRIFT = 0.1  # of the largest response: how far an output at rest may still move
 _MARGIN = 0.05  # of an output's range, kept from its limits
 _ROOM = 0.5  # share of the way from rest to a limit that a setpoint takes: the rest is for overshoot
@@ -196,8 +200,7 @@ def sampling_time(
     if constants and not any(r.is_unstable for r in responses):  # horizons must reach beyond a dead time
         wanted = max(wanted, max(r.dead_time for r in slow) / _SAMPLES_PER_TIME_CONSTANT)
     rises = [r.rise_time for r in responses if (r.rings and not r.is_transient) or r.type is _SWINGS]
-    moving = drifting(tested)
-    rises += [_swing_time(tested.time, tested.rest[:, j]) for j in choice.outputs if moving[j]]
+    rises += swings(tested, choice.outputs).values()
     limits = [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
     limits += [r.rise_time / _SAMPLES_PER_LAG for r in responses if r.type is _LAGS and r.rise_time > 0.0]
     if not choice.guessed:
@@ -209,6 +212,8 @@ def sampling_time(
     wanted = max(wanted, float(tested.time[0]), *clocks)
     multiple = 1 if fixed_step is None else max(1, round(wanted / fixed_step))
     sample = nearest_125(wanted) if fixed_step is None else multiple * fixed_step
+    if fixed_step is None and duration is None and tested.period.seconds > 2 * sample:
+        return _part_of(tested.period.seconds, sample)
     if duration is None or _divides(sample, duration):
         return sample
     if fixed_step is None:
@@ -219,6 +224,21 @@ def sampling_time(
             f"duration = {duration:g} must be a whole multiple of the fixed step {fixed_step:g} s"
         )
     return fitting[0]
+
+
+def _part_of(period: float, sample: float) -> float:
+    """Return a part of a period near a sampling time [s], with as few digits as possible."""
+    fewest, most = math.ceil(period / sample / _NEAR), math.floor(period / sample * _NEAR)
+    parts = [clean(period / count) for count in range(max(1, fewest), max(1, most) + 1)] or [sample]
+    return min(parts, key=lambda part: (len(f"{part:.12g}".strip("0.")), abs(math.log(part / sample))))
+
+
+def whole_periods(samples: int, sample: float, period: float) -> int:
+    """Return so many samples, or more of them, that they are whole periods [s], if that is not for ever."""
+    if not period > 0.0:
+        return samples
+    whole = round(math.ceil(samples * sample / period - _ROUNDING) * period / sample)
+    return whole if whole <= max(_MOST_IN_PERIODS, samples) else samples
 
 
 def _divides(sample: float, duration: float) -> bool:
@@ -284,6 +304,7 @@ def setpoints(
     """
     n, rest = len(choice.outputs), where_it_rests(tested)
     hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
+    hold = whole_periods(hold, sample, tested.period.seconds)
     samples = 2 * n * hold if request.duration is None else whole_steps(request.duration, sample)
     if samples < 2 * n:
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
@@ -332,17 +353,40 @@ def near_rest(
 
 
 def where_it_rests(tested: StepTest) -> FloatArray:
-    """Return the outputs while the inputs rest: where they end, or where they begin if they drift."""
+    """Return the outputs while the inputs rest: where they end, or where they begin if they drift.
+
+    Of those that repeat themselves it is the mean over whole periods.
+    """
     rest: FloatArray = np.where(drifting(tested), tested.rest[0], tested.rest[-1])
+    for j, mean in tested.period.means.items():
+        rest[j] = mean
     return rest
 
 
 def drifting(tested: StepTest) -> NDArray[np.bool_]:
-    """Return which outputs do not come to rest though the inputs do."""
-    last = tested.rest[-BLOCK:]
-    peaks = [max(response.peak for response in row) for row in tested.responses]
-    moving: NDArray[np.bool_] = np.ptp(last, axis=0) > _DRIFT * np.array(peaks)
+    """Return which outputs do not come to rest though the inputs do, and do not repeat themselves either.
+
+    What fades away from block to block, each twice as long, is on its way to where it rests.
+    """
+    moving = unsteady(tested)
+    moving[list(tested.period.means)] = False
     return moving
+
+
+def unsteady(tested: StepTest) -> NDArray[np.bool_]:
+    """Return which outputs do not come to rest though the inputs do."""
+    last = np.ptp(tested.rest[-BLOCK:], axis=0)
+    peaks = [max(response.peak for response in row) for row in tested.responses]
+    moving: NDArray[np.bool_] = last > _DRIFT * np.array(peaks)
+    if len(tested.rest) >= 2 * BLOCK:
+        moving &= last > _FADING * np.ptp(tested.rest[-2 * BLOCK : -BLOCK], axis=0)
+    return moving
+
+
+def swings(tested: StepTest, outputs: Sequence[int]) -> dict[int, float]:
+    """Return of the outputs that do not rest how long they take for half their range [s], by position."""
+    moving = unsteady(tested)
+    return {j: _swing_time(tested.time, tested.rest[:, j]) for j in outputs if moving[j]}
 
 
 def reachable(gains: FloatArray, working: Range) -> tuple[FloatArray, FloatArray]:

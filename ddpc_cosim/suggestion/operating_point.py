@@ -14,6 +14,7 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds, Reach
 from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.periods import found_at_rest
 from ddpc_cosim.suggestion.quantities import remarks_on, usual_levels
 from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
@@ -139,6 +140,13 @@ def _at(
                 choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
         reach = None
         if choice.inputs:
+            unstable = any(response.is_unstable for row in tested.responses for response in row)
+            swings = {} if unstable else design.swings(tested, choice.outputs)
+            if swings:
+                fixed_step = timing.step if timing.fixed else None
+                seconds = _FOR_REACH * timing.budget
+                period = found_at_rest(plant, rest, parameters, swings, fixed_step, seconds)
+                tested = replace(tested, period=period)
             working = design.working_range(plant.inputs, bounds).of(choice.inputs)
             spared = replace(timing, budget=_FOR_REACH * timing.budget)
             reach = tried_reach(plant, resting, tested, choice, working, spared)

@@ -10,6 +10,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.periods import Period
 from ddpc_cosim.suggestion.response_types import (
     BLOCK,
     FLOOR,
@@ -124,6 +125,8 @@ class StepTest:
         Outputs and inputs whose response is as soon there and as large after a thousandth of the step.
     resolution : float
         What happens within this time cannot be distinguished from what happens at once [s].
+    period : Period
+        In what outputs do while the inputs rest.
     """
 
     time: FloatArray
@@ -137,6 +140,7 @@ class StepTest:
     unstable: frozenset[int] = field(default_factory=frozenset)
     switched: frozenset[tuple[int, int]] = field(default_factory=frozenset)
     resolution: float = 0.0
+    period: Period = field(default_factory=Period)
 
     def is_immediate(self, response: Response) -> bool:
         """Whether a response is over within the first samples: direct feedthrough, as far as one sees."""
