@@ -1,7 +1,8 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -135,12 +136,12 @@ def suggest_study(
             sandbox=sandbox,
         )
 
-    point = find(open_plant, description, request, timing)
+    point = find(open_plant, description, request, timing, try_reach=trial)
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
         if system.refine(open_plant, point, sample):
             tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
-            point = find(open_plant, description, request, timing)
+            point = find(open_plant, description, request, timing, try_reach=trial)
     if not point.choice.inputs:
         ends = zip(point.inputs, point.rest, point.rest + point.tested.steps, strict=True)
         tried = ", ".join(f"{v.name} from {low:g} to {high:g}" for v, low, high in ends)
@@ -155,7 +156,7 @@ def suggest_study(
     plant = replace(plant, parameters=request.parameters(description))
     proposal = _propose(plant, point, sample, (*drives_too, *reads_too))
     if trial:
-        proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
+        proposal = tried_out(proposal, time.monotonic() + deadline - monotonic(), tell, sandboxed=sandbox)
     head = (*proposal.comments.get("head", ()), *point.remarks, *(system.remarks if system else ()))
     return replace(proposal, comments={**proposal.comments, "head": head})
 
@@ -286,7 +287,7 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
     samples = design.whole_periods(max(_SAMPLES, 2 * needed), sample, tested.period.seconds)
     circumstances = Circumstances(point.inputs, point.outputs, tested, choice, sample, unstable)
     said = comments(circumstances, left_out, point.warnings)
-    said["reference"] = (*said["reference"], *implausible)
+    said["reference"] = (*said["reference"], *implausible, *_on_reach(point, working))
     plant = replace(
         plant,
         inputs=[v.name for v in inputs],
@@ -317,6 +318,23 @@ def _propose(plant: PlantSection, point: TriedPoint, sample: float, left_out: Se
         rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
     )
+
+
+def _on_reach(point: TriedPoint, working: design.Range) -> Iterator[str]:
+    """Tell which outputs went less far than gains say with inputs that were held."""
+    if point.reach is None:
+        return
+    ways = design.reachable(point.choice.gains, working)
+    for row, j in enumerate(point.choice.outputs):
+        pairs = zip(ways, point.reach.less(ways), ("up", "down"), strict=True)
+        sides = [
+            f"{less[row]:.3g} {side} instead of {way[row]:.3g}"
+            for way, less, side in pairs
+            if less[row] < way[row]
+        ]
+        if sides:
+            name = point.outputs[j].name
+            yield f"{name}: held inputs take it less far than its gain says: {', '.join(sides)}."
 
 
 def check_identified(label: str, point: TriedPoint) -> None:

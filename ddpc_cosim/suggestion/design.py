@@ -49,6 +49,7 @@ _HORIZON, _INITIAL_LENGTH = 15, 5
 _LEAST_SAMPLES_PER_SETPOINT = 4 * _HORIZON
 _SMALL_STEP = 0.2  # of what an unstable output has done after a few doublings
 _REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
+_AS_FAR, _FREE = 0.95, 0.9  # of what gains promise: what is reached; of what was reached: what is asked for
 _FADING = 0.7  # of the movement in the time before, which is half as long
 _NEAR = 1.7  # times a sampling time: where parts of a period are as good
 _ROUNDING = 1e-6
@@ -281,6 +282,12 @@ class Reach:
         """Return what is known of outputs before anything is tried."""
         return cls(np.full(outputs, np.inf), np.full(outputs, np.inf))
 
+    def less(self, ways: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return how far setpoints may go, up and down, where gains promise more than was reached."""
+        pairs = zip(ways, (self.up, self.down), strict=True)
+        up, down = (np.where(reached < _AS_FAR * way, _FREE * reached, way) for way, reached in pairs)
+        return up, down
+
 
 def setpoints(
     tested: StepTest,
@@ -309,9 +316,10 @@ def setpoints(
     if samples < 2 * n:
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
         raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
-    up, down = (np.minimum(way, limits(tested, choice)) for way in reachable(choice.gains, working))
+    ways = reachable(choice.gains, working)
     if reach is not None:
-        up, down = np.minimum(up, reach.up), np.minimum(down, reach.down)
+        ways = reach.less(ways)
+    up, down = (np.minimum(way, limits(tested, choice)) for way in ways)
     references = dict[str, Reference]()
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]

@@ -59,7 +59,12 @@ class TriedPoint:
 
 
 def find(
-    open_plant: Callable[..., TestedPlant], description: Declarations, request: Request, timing: Timing
+    open_plant: Callable[..., TestedPlant],
+    description: Declarations,
+    request: Request,
+    timing: Timing,
+    *,
+    try_reach: bool = False,
 ) -> TriedPoint:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -71,6 +76,8 @@ def find(
         What it says about itself.
     request, timing
         What is asked for, and what is known about time.
+    try_reach : bool
+        Whether to try how far the outputs go with the inputs that setpoints would need.
 
     Raises
     ------
@@ -83,7 +90,7 @@ def find(
     usual = usual_levels(every, given, request.ranges)
     remarks = remarks_on(usual, every)
     parameters = request.parameters(description)
-    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
+    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing, try_reach)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
@@ -99,7 +106,9 @@ def find(
         if not remark:
             continue
         try:
-            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
+            point = _at(
+                open_plant, start, bounds, parameters, request, replace(timing, budget=left), try_reach
+            )
         except CosimError:  # it does not run there
             continue
         if point.influence > _BETTER * best.influence:
@@ -114,6 +123,7 @@ def _at(
     parameters: Mapping[str, ParameterValue],
     request: Request,
     timing: Timing,
+    try_reach: bool,
 ) -> TriedPoint:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
@@ -147,6 +157,7 @@ def _at(
                 seconds = _FOR_REACH * timing.budget
                 period = found_at_rest(plant, rest, parameters, swings, fixed_step, seconds)
                 tested = replace(tested, period=period)
+        if choice.inputs and try_reach:
             working = design.working_range(plant.inputs, bounds).of(choice.inputs)
             spared = replace(timing, budget=_FOR_REACH * timing.budget)
             reach = tried_reach(plant, resting, tested, choice, working, spared)

@@ -17,7 +17,7 @@ _LEAST = 0.02  # of it: what counts at least
 _IS_KNOWN = sys.platform == "linux"
 
 
-class _ComputingClock:
+class ComputingClock:
     """Seconds of computing, those of processes that have been started since included."""
 
     def __init__(self) -> None:
@@ -89,5 +89,5 @@ def _cpu_time_of_ended(pid: int) -> float:
         return 0.0
 
 
-monotonic = _ComputingClock()
+monotonic = ComputingClock()
 """Return seconds on that clock."""

@@ -16,6 +16,7 @@ _SAMPLES_PER_SWING = 4
 _SETTLED = 3  # the last two of three parts count: what is before them may be a transient
 _DIFFERENT, _SAME = 0.5, 0.12  # of what values of that spread differ by on average if nothing repeats
 _AS_GOOD = 1.5
+_ROUNDING = 1e-9
 _NICE = (3600.0, 43200.0, 86400.0, 604800.0)  # s
 _NEAR = 0.02
 _MOST_STEPS = 3000
@@ -57,39 +58,41 @@ def period_of(values: FloatArray) -> float:
     k = np.arange(n)
     flat = values - np.polyval(np.polyfit(k, values, 1), k)
     spread = float(np.std(flat))
-    if not spread > 0.0 or not np.isfinite(spread):
+    if not np.isfinite(spread) or not spread > _ROUNDING * float(np.max(np.abs(values))):
         return 0.0
     lags = np.arange(1, n // 2 + 1)
-    away = np.array([np.sqrt(np.mean((flat[lag:] - flat[:-lag]) ** 2)) for lag in lags]) / (
-        math.sqrt(2.0) * spread
-    )
+    # A line adds the same to all differences, and does not matter.
+    away = np.array([np.std(values[lag:] - values[:-lag]) for lag in lags]) / (math.sqrt(2.0) * spread)
     different = np.flatnonzero(away > _DIFFERENT)
     if not different.size:
         return 0.0
     begin = int(different[0])
-    best = float(away[begin:].min())
+    inner = away[1:-1]
+    lows = 1 + np.flatnonzero((inner <= away[:-2]) & (inner < away[2:]))
+    minima = [_minimum(away, int(at)) for at in lows if at > begin]
+    best = min((depth for _, depth in minima), default=math.inf)
     if best > _SAME:
         return 0.0
-    enough = max(_SAME / 2, _AS_GOOD * best)
-    first = begin + int(np.argmax(away[begin:] <= enough))
-    while first + 1 < len(away) and away[first + 1] < away[first]:
-        first += 1
-    lag, count = _lowest(away, first), 1
+    lag = next(lag for lag, depth in minima if depth <= max(_SAME / 2, _AS_GOOD * best))
+    count = 1
     while (count + 1) * lag < len(away):  # of several periods a sample is a smaller part
         count += 1
         near = round(count * lag) - 1
         low, high = max(near - 2, 0), min(near + 3, len(away))
-        lag = _lowest(away, low + int(np.argmin(away[low:high]))) / count
+        lag = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count
     return lag
 
 
-def _lowest(away: FloatArray, at: int) -> float:
-    """Return the lag of a minimum, between the samples, where the squares of distances are a parabola."""
+def _minimum(away: FloatArray, at: int) -> tuple[float, float]:
+    """Return lag and depth of a minimum between the samples, where squares of distances are a parabola."""
     if not 0 < at < len(away) - 1:
-        return float(at + 1)
-    left, middle, right = away[at - 1] ** 2, away[at] ** 2, away[at + 1] ** 2
+        return float(at + 1), float(away[at])
+    left, middle, right = (float(distance) for distance in away[at - 1 : at + 2] ** 2)
     bend = left - 2 * middle + right
-    return float(at + 1 + (0.5 * (left - right) / bend if bend > 0.0 else 0.0))
+    if not bend > 0.0:
+        return float(at + 1), math.sqrt(middle)
+    depth = max(middle - (left - right) ** 2 / (8 * bend), 0.0)
+    return at + 1 + (left - right) / (2 * bend), math.sqrt(depth)
 
 
 def rounded_period(seconds: float) -> float:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -114,7 +115,8 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     proposal : Proposal
         The study.
     deadline : float
-        When to stop, on the clock of ``pace.monotonic``; also in the middle of a run.
+        When to stop, also in the middle of a run, on the clock of ``time.monotonic`` if nothing else has the
+        processors: what is left until then is time for computing.
     tell : callable
         Called with what is being done.
     sandboxed : bool
@@ -125,6 +127,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     CosimError
         No controller runs to the end, and why.
     """
+    deadline = monotonic() + deadline - time.monotonic()
     attempts: list[_Attempt] = []
     gentler, number = _gentler_ones(proposal), 0
     faults: dict[str, str] = {}
@@ -147,7 +150,13 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
         if not attempts:
             what = f"{proposal.study.plant.label}: no controller that was tried runs to the end"
             raise CosimError(f"{what}: {'; '.join(dict.fromkeys(faults.values()))}")
-        return _with_outcome(attempts)
+        best = min(attempts, key=lambda attempt: attempt.best)
+        reached, cut = _reached_only(best, [limit for attempt in attempts for limit in attempt.limits])
+        if cut:  # what is said of it is to be of what is proposed
+            attempt = _attempt(reached, folder / "cut", deadline, tell, sandboxed=sandboxed)
+            best = attempt if attempt.cases else replace(best, proposal=reached)
+            attempts.append(best)
+        return _with_outcome(attempts, best, cut)
 
 
 def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool) -> _Attempt:
@@ -391,12 +400,10 @@ def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[
                 yield _Limit(output.name, level, 1 if side == "above" else -1, words)
 
 
-def _with_outcome(attempts: Sequence[_Attempt]) -> Proposal:
+def _with_outcome(attempts: Sequence[_Attempt], best: _Attempt, cut: Sequence[str]) -> Proposal:
     """Return the best of what was tried, with what came of it in its comments."""
-    best = min(attempts, key=lambda attempt: attempt.best)
-    every = [limit for attempt in attempts for limit in attempt.limits]
-    limits = dict.fromkeys(limit.words for limit in every)
-    proposal, cut = _reached_only(best, every)
+    proposal = best.proposal
+    limits = dict.fromkeys(limit.words for attempt in attempts for limit in attempt.limits)
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely:
         likely = best.surprises or (
@@ -436,11 +443,14 @@ def _with_outcome(attempts: Sequence[_Attempt]) -> Proposal:
 
 
 def _reached_only(best: _Attempt, limits: Sequence[_Limit]) -> tuple[Proposal, list[str]]:
-    """Return the proposal without setpoints that no trial reached, or that a limit forbids, and whose."""
+    """Return the proposal without setpoints that no trial reached, or that a limit forbids, and whose.
+
+    Where every controller fails, what they reach says nothing.
+    """
     proposal, spans = best.proposal, {}
     if not best.cases:
         return proposal, []
-    trace = best.best_trace()
+    trace, failed = best.best_trace(), bool(all_failed(best.cases))
     for j, output in enumerate(trace.outputs):
         name, y = output.name, trace.y[:, j]
         if name in proposal.asked.ranges or not (steps := proposal.setpoints.get(name)):
@@ -451,10 +461,11 @@ def _reached_only(best: _Attempt, limits: Sequence[_Limit]) -> tuple[Proposal, l
             [limit.level for limit in limits if limit.output == name and limit.sign == sign]
             for sign in (-1, 1)
         ]
-        low = max([float(np.nanmin(y)) - near, *ends[0]])
-        high = min([float(np.nanmax(y)) + near, *ends[1]])
+        low = max([-math.inf if failed else float(np.nanmin(y)) - near, *ends[0]])
+        high = min([math.inf if failed else float(np.nanmax(y)) + near, *ends[1]])
+        low, high = max(low, wanted[0] - near), min(high, wanted[1] + near)
         free = _KEPT_FREE * (high - low)
-        if low > wanted[0] or high < wanted[1]:
+        if low < high and (low > wanted[0] or high < wanted[1]):
             span = max(wanted[0], low + free), min(wanted[1], high - free)
             spans[name] = span if span[0] < span[1] else (low + free, high - free)
     spans = {name: span for name, span in spans.items() if span[0] < span[1]}

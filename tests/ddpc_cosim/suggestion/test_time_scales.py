@@ -305,3 +305,48 @@ def test_a_larger_step_that_ends_early_is_told() -> None:
     assert tested.fault == "beyond its stroke"
     assert tested.steps.tolist() == [0.5, 0.1]
     assert tested.responses[0][1].type is ResponseType.SETTLED
+
+
+class Kicked(Linear):
+    """The same, with an output that is far away at the first samples: after a step, or at rest as well."""
+
+    by, at_rest = 10.0, False
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        y = super().step(u, h)
+        is_first = self.t < 2.5e-4
+        return y + self.by * is_first * (1.0 if self.at_rest else u[: len(y)])
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+@pytest.mark.parametrize("constant", [1.0, 600.0])
+def test_a_spike_at_the_first_samples_hides_nothing(constant: float, at_rest: bool) -> None:
+    plant = Kicked(-1 / constant, 1 / constant, 1)
+    plant.at_rest = at_rest
+    _, choice, sample, _ = proposed(plant, OPEN)
+    assert not choice.guessed
+    assert 4.99 <= constant / sample <= 30.01
+
+
+def test_what_takes_longer_than_a_tool_s_default_second_is_looked_at_for_days() -> None:
+    """A house of 11 h in an experiment of 1 s is an integrator as far as one sees."""
+    house = Linear(-1 / 4e4, 1 / 4e4, 1)
+    timing = Timing(1e-5, longest=10.0, guess=0.06, beyond=1e6)
+    _, choice, sample, _ = proposed(house, timing)
+    assert not choice.guessed
+    assert 5 <= 4e4 / sample <= 30
+
+
+def test_an_integrator_is_one_for_days_and_keeps_its_guess() -> None:
+    tested, choice, sample, _ = proposed(Linear(0, 1, 1), Timing(1e-5, longest=10.0, guess=6.0, beyond=1e6))
+    assert choice.guessed
+    assert sample == pytest.approx(0.2)
+    assert tested.time[-1] < 1e4
+
+
+def test_the_time_scale_is_that_of_what_is_controlled() -> None:
+    """An output that the inputs hardly move beside others, and that is a hundred times as slow."""
+    plant = Linear(np.diag([-1.0, -0.01]), [[1.0], [0.01]], np.eye(2))
+    _, choice, sample, _ = proposed(plant, OPEN)
+    assert choice.outputs == (0,)
+    assert 1.0 / sample >= 5
