@@ -1,6 +1,6 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -15,7 +15,7 @@ from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds, Reach
 from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.periods import found_at_rest
-from ddpc_cosim.suggestion.quantities import remarks_on, usual_levels
+from ddpc_cosim.suggestion.quantities import in_kelvin, is_temperature, remarks_on, usual_levels
 from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
@@ -28,6 +28,7 @@ _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
 _BETTER = 10.0
 _HALF = 0.5
 _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
+_IMPLAUSIBLE = 1000.0
 _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
@@ -55,7 +56,7 @@ class TriedPoint:
     @property
     def influence(self) -> float:
         """How much the inputs matter."""
-        return _influence(self.tested, self.choice, self.room)
+        return _influence(self.tested, self.choice, self.room, self.outputs)
 
 
 def find(
@@ -97,11 +98,13 @@ def find(
     attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
     for factor in _WIDER:
         wider = _wider(at_start.inputs, at_start.bounds, factor)
-        attempts.append((dict(at_start.start), wider, _remark_on_ranges(at_start.bounds, wider)))
+        remark = _remark_on_ranges(at_start.bounds, wider, plausible=factor < _IMPLAUSIBLE)
+        attempts.append((dict(at_start.start), wider, remark))
     for start, bounds, remark in attempts:
         left = ends - monotonic()
         is_wider = bounds is not at_start.bounds
-        if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and best.choice.inputs):
+        may_be_wider = not best.choice.inputs or _warms_by_guess(best)
+        if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and not may_be_wider):
             break
         if not remark:
             continue
@@ -111,7 +114,7 @@ def find(
             )
         except CosimError:  # it does not run there
             continue
-        if point.influence > _BETTER * best.influence:
+        if point.influence > min(_BETTER * best.influence, max(_MATTERS, best.influence)):
             best = replace(point, remarks=(*remarks, remark, *point.remarks))
     return best
 
@@ -211,10 +214,20 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
     return wider
 
 
-def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds]) -> str:
+def _warms_by_guess(point: TriedPoint) -> bool:
+    """Return whether inputs whose ranges are guesses move temperatures alone: one watt heats no house."""
+    guesses = (point.bounds[point.inputs[i].name].origin for i in point.choice.inputs)
+    outputs = (point.outputs[j] for j in point.choice.outputs)
+    return all(origin.startswith("guessed") for origin in guesses) and all(map(is_temperature, outputs))
+
+
+def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds], *, plausible: bool) -> str:
     changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
     what = "Within the ranges that were guessed first nothing responds: tried"
-    return f"{what} {', '.join(changed)}; --range NAME=LO:HI if that is too far" if changed else ""
+    doubt = "--range NAME=LO:HI if that is too far"
+    if not plausible:
+        doubt = f"that is not plausible, a thousand times the first guess: {doubt.replace('if', 'where')}"
+    return f"{what} {', '.join(changed)}; {doubt}" if changed else ""
 
 
 def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) -> dict[str, float]:
@@ -223,9 +236,10 @@ def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) ->
     return {variable.name: level for variable, level in zip(inputs, levels, strict=True)}
 
 
-def _influence(tested: StepTest, choice: Choice, room: FloatArray) -> float:
-    """Return what the inputs move the output by that they move most, in parts of its level."""
+def _influence(tested: StepTest, choice: Choice, room: FloatArray, outputs: Sequence[Variable]) -> float:
+    """Return what the inputs move the output by that they move most, in parts of its level (above 0 K)."""
     reach = np.abs(choice.gains) @ np.abs(room[list(choice.inputs)])
-    levels = np.abs(design.where_it_rests(tested))[list(choice.outputs)]  # not where it drifts to
+    rest = design.where_it_rests(tested)  # not where it drifts to
+    levels = [abs(in_kelvin(outputs[j], float(rest[j]))) for j in choice.outputs]
     shares = [r / max(level, r) for r, level in zip(reach, levels, strict=True) if r > 0.0]
     return float(max(chain(shares, [0.0])))

@@ -67,6 +67,17 @@ def plausible(output: Variable, rest: float) -> Plausible:
     return Plausible(0.0, why="an amount is not negative") if _is_amount(output, rest) else Plausible()
 
 
+def is_temperature(variable: Variable) -> bool:
+    """Return whether a signal is a temperature, and not a difference of two."""
+    return _shown_in("K", variable.unit) is not None and not is_difference(variable)
+
+
+def in_kelvin(variable: Variable, value: float) -> float:
+    """Return a temperature above 0 K, in degrees of its unit; anything else as it is."""
+    shown = _shown_in("K", variable.unit)
+    return value - shown.offset if shown and not is_difference(variable) else value
+
+
 def plausible_outputs(
     outputs: Sequence[Variable], rest: FloatArray, asked: Collection[str]
 ) -> tuple[tuple[Variable, ...], dict[str, str]]:
