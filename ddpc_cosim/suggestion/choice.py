@@ -77,6 +77,7 @@ def _chosen(tested: StepTest, room: FloatArray, scale: tuple[float, bool], all_o
     if all_outputs:  # where nothing lasts, peaks are the only measure
         gains = np.where(gains.any(axis=1, keepdims=True), gains, _peaks(tested))
     else:
+        gains[list(tested.rates)] = 0.0
         gains = _not_adrift(_urgent(gains, tested.responses), tested, room)
     reach = np.abs(gains) * np.abs(room)
     lively = [i for i in range(len(room)) if np.any(reach[:, i] > 0.0)]

@@ -18,7 +18,7 @@ from ddpc_cosim.signals.signals import Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType, without_spike
+from ddpc_cosim.suggestion.response_types import BLOCK, Response, ResponseType, without_spike
 from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -38,6 +38,8 @@ _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, t
 _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
 _SAMPLES_PER_TIME_CONSTANT, _TIME_CONSTANTS_PER_SETTLING = 10, 3
 _SAMPLES_PER_RISE = 2
+_QUARTER = 0.288  # of its time constant: when a quarter of a lag of first order is gone
+_FAR, _EARLY = 0.03, 0.4  # of the time constant of the rest
 # Where something fast stands beside something slow: an end of the study must be in sight.
 _MOST_SAMPLES_PER_SETTLING, _MOST_SAMPLES_PER_RINGING = 150, 500
 _SAMPLES_PER_LAG = 5
@@ -202,7 +204,8 @@ def sampling_time(
         wanted = max(wanted, max(r.dead_time for r in slow) / _SAMPLES_PER_TIME_CONSTANT)
     rises = [r.rise_time for r in responses if (r.rings and not r.is_transient) or r.type is _SWINGS]
     rises += swings(tested, choice.outputs).values()
-    limits = [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
+    limits = [part / _SAMPLES_PER_TIME_CONSTANT for r in slow if (part := _fast_part(r))]
+    limits += [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
     limits += [r.rise_time / _SAMPLES_PER_LAG for r in responses if r.type is _LAGS and r.rise_time > 0.0]
     if not choice.guessed:
         most = _MOST_SAMPLES_PER_RINGING if rises else _MOST_SAMPLES_PER_SETTLING
@@ -225,6 +228,16 @@ def sampling_time(
             f"duration = {duration:g} must be a whole multiple of the fixed step {fixed_step:g} s"
         )
     return fitting[0]
+
+
+def _fast_part(response: Response) -> float:
+    """Return the time constant with which a quarter of a response is gone, where the rest takes longer [s].
+
+    It is 0 of a lag of first order, and where what is fast is so fast that the rest is all that one can see.
+    """
+    fast = response.quarter_time / _QUARTER
+    share = fast / (response.settling_time / _TIME_CONSTANTS_PER_SETTLING)
+    return fast if _FAR < share < _EARLY else 0.0
 
 
 def _part_of(period: float, sample: float) -> float:

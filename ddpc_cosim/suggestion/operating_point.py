@@ -1,6 +1,6 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -15,9 +15,17 @@ from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds, Reach
 from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.periods import found_at_rest
-from ddpc_cosim.suggestion.quantities import in_kelvin, is_temperature, remarks_on, usual_levels
+from ddpc_cosim.suggestion.quantities import (
+    in_kelvin,
+    is_temperature,
+    remarks_on,
+    to_comfort,
+    usual_levels,
+)
+from ddpc_cosim.suggestion.rates import rates_among
 from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
+from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
 from ddpc_cosim.variables import FloatArray, Variable
@@ -28,6 +36,7 @@ _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
 _BETTER = 10.0
 _HALF = 0.5
 _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
+_INSIDE = 0.1  # of its range: how far from an end of it an input rests where a room is as it should be
 _IMPLAUSIBLE = 1000.0
 _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
@@ -93,6 +102,25 @@ def find(
     parameters = request.parameters(description)
     at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing, try_reach)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
+    warm = _comfortable(at_start, {*usual, *given})
+    if warm and ends - monotonic() > _LEAST_TIME:
+        listed = ", ".join(f"{name} = {level:g}" for name, level in warm.items())
+        remark = f"At rest it is not as a room should be: tried at {listed}; --at moves it elsewhere"
+        try:
+            spared = replace(timing, budget=ends - monotonic())
+            point = _at(
+                open_plant,
+                {**at_start.start, **warm},
+                at_start.bounds,
+                parameters,
+                request,
+                spared,
+                try_reach,
+            )
+        except CosimError:  # it does not run there
+            point = at_start
+        if point.choice.inputs and not _comfortable(point, ()):
+            return replace(point, remarks=(*remarks, remark, *point.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
     attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
@@ -151,12 +179,14 @@ def _at(
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
                 choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
-        reach = None
+        reach, fixed_step = None, timing.step if timing.fixed else None
+        if rates := rates_among(plant, resting, tested, fixed_step):
+            tested = replace(tested, rates=rates)
+            choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
         if choice.inputs:
             unstable = any(response.is_unstable for row in tested.responses for response in row)
             swings = {} if unstable else design.swings(tested, choice.outputs)
             if swings:
-                fixed_step = timing.step if timing.fixed else None
                 seconds = _FOR_REACH * timing.budget
                 period = found_at_rest(plant, rest, parameters, swings, fixed_step, seconds)
                 tested = replace(tested, period=period)
@@ -214,6 +244,35 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
     return wider
 
 
+def _comfortable(point: TriedPoint, given: Collection[str]) -> dict[str, float]:
+    """Return levels of inputs at which rooms that rest too cold or too hot should be as rooms are, if any."""
+    choice, tested = point.choice, point.tested
+    if not choice.inputs or {point.inputs[i].name for i in choice.inputs} & {*given}:
+        return {}
+    responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
+    if any(r.type not in (ResponseType.SETTLED, ResponseType.INSENSITIVE) for r in responses):
+        return {}
+    rest = design.where_it_rests(tested)[list(choice.outputs)]
+    missing = np.array(
+        [to_comfort(point.outputs[j], level) for j, level in zip(choice.outputs, rest, strict=True)]
+    )
+    if not missing.any():
+        return {}
+    u = point.rest[list(choice.inputs)] + np.linalg.pinv(choice.gains) @ missing
+    levels = dict(zip([point.inputs[i].name for i in choice.inputs], u.tolist(), strict=True))
+    ends = {name: point.bounds[name] for name in levels}
+    margins = {name: _INSIDE * (end.high - end.low) for name, end in ends.items()}
+    inside = {
+        name: float(f"{np.clip(u, ends[name].low + margins[name], ends[name].high - margins[name]):.4g}")
+        for name, u in levels.items()
+    }
+    return {name: level for name, level in inside.items() if level != point.rest[_position(point, name)]}
+
+
+def _position(point: TriedPoint, name: str) -> int:
+    return [variable.name for variable in point.inputs].index(name)
+
+
 def _warms_by_guess(point: TriedPoint) -> bool:
     """Return whether inputs whose ranges are guesses move temperatures alone: one watt heats no house."""
     guesses = (point.bounds[point.inputs[i].name].origin for i in point.choice.inputs)
@@ -231,9 +290,9 @@ def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds],
 
 
 def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) -> dict[str, float]:
-    """Return levels of inputs half way to the ends of their ranges, by name."""
-    levels = (rest + _HALF * room).tolist()
-    return {variable.name: level for variable, level in zip(inputs, levels, strict=True)}
+    """Return levels of inputs that rest at 0, half way to the ends of their ranges, by name."""
+    levels = zip(inputs, rest.tolist(), (rest + _HALF * room).tolist(), strict=True)
+    return {variable.name: level for variable, at_rest, level in levels if at_rest == 0.0}
 
 
 def _influence(tested: StepTest, choice: Choice, room: FloatArray, outputs: Sequence[Variable]) -> float:

@@ -35,7 +35,11 @@ class ComputingClock:
             return self._seconds
         if wall - self._looked > _LOOKED_FOR:
             self._look(wall)
-        cpu = time.process_time() + self._ended + sum(map(_cpu_time, self._members))
+        times = [*map(_cpu_time, self._members)]
+        if None in times:  # one has ended
+            self._look(wall)
+            times = [*map(_cpu_time, self._members)]
+        cpu = time.process_time() + self._ended + sum(filter(None, times))
         computed, self._cpu = cpu - self._cpu, cpu
         self._seconds += min(passed, max(computed, self._waiting * passed))
         return self._seconds
@@ -50,24 +54,25 @@ class ComputingClock:
             members += children(member)
         delays = [*map(_delay, members)]
         delayed = None if None in delays else sum(filter(None, delays))
-        if delayed is None or self._looked < 0.0:
+        passed = wall - self._looked
+        if delayed is None or not 0.0 < passed < wall:
             self._waiting = _WAITING
         else:
-            share = max(0.0, delayed - self._delayed) / (wall - self._looked)
+            share = max(0.0, delayed - self._delayed) / passed
             self._waiting = max(_LEAST, 1.0 - share)
         self._delayed = delayed or 0.0
         self._ended, self._looked = sum(map(_cpu_time_of_ended, members)), wall
         self._members = members[1:]
 
 
-def _cpu_time(pid: int) -> float:
-    """Return the CPU time of a process [s]; 0 of one that has ended."""
+def _cpu_time(pid: int) -> float | None:
+    """Return the CPU time of a process [s]; None of one that has ended."""
     if sys.platform == "win32":
-        return 0.0
+        return None
     try:
         return time.clock_gettime(~pid << 3 | 2)  # the kernel's CPUCLOCK_SCHED of a process
     except OSError:
-        return 0.0
+        return None
 
 
 def _delay(pid: int) -> float | None:

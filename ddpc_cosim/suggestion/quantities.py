@@ -20,7 +20,11 @@ _SAID_OF_DIFFERENCES = re.compile(
 _NEGLIGIBLE = 1e-9
 _PLAUSIBLE = (250.0, 400.0)  # K
 _COMFORTABLE = (283.15, 308.15)  # K: of rooms, in which people live
-_ROOM = re.compile(r"room|zone|zon|indoor|inside|interior|house|home|dwelling|office|building|flat|apartment")
+_IN_A_ROOM = 294.15  # K
+_LIVEABLE = (230.0, 340.0)  # K: where a room is that may be as it should be
+_ROOM = re.compile(
+    r"\b(?:t?roo|zon)\b|room|zone|indoor|inside|interior|house|home|dwelling|office|building|flat|apartment"
+)
 # Amounts of something, in terms of the SI: there is never less than nothing.
 _PRESSURE = {"kg": 1, "m": -1, "s": -2}
 _AMOUNTS = (
@@ -57,11 +61,13 @@ def plausible(output: Variable, rest: float) -> Plausible:
     of_kelvin = _shown_in("K", output.unit)
     if of_kelvin and not is_difference(output):
         at_rest = float(of_kelvin.to_unit(rest))
-        is_room = bool(_ROOM.search(" ".join(words_of(output))))
+        is_room = _is_room(output)
         for (low, high), what in ((_COMFORTABLE, "a room"), (_PLAUSIBLE, "a temperature")):
             if low <= at_rest <= high and (is_room or what != "a room"):
                 ends = [float(f"{of_kelvin.factor * end + of_kelvin.offset:.12g}") for end in (low, high)]
-                return Plausible(ends[0], ends[1], f"{low:g} to {high:g} K are plausible of {what}")
+                return Plausible(
+                    ends[0], ends[1], f"{ends[0]:g} to {ends[1]:g} {output.unit} are plausible of {what}"
+                )
         zero = of_kelvin.offset
         return Plausible(zero, why="there is nothing below 0 K") if rest >= zero else Plausible()
     return Plausible(0.0, why="an amount is not negative") if _is_amount(output, rest) else Plausible()
@@ -76,6 +82,21 @@ def in_kelvin(variable: Variable, value: float) -> float:
     """Return a temperature above 0 K, in degrees of its unit; anything else as it is."""
     shown = _shown_in("K", variable.unit)
     return value - shown.offset if shown and not is_difference(variable) else value
+
+
+def to_comfort(output: Variable, level: float) -> float:
+    """Return how much a room at a level misses to be comfortable, in its unit; 0 of what is not a room."""
+    if not is_temperature(output) or not _is_room(output):
+        return 0.0
+    (low, high), shown = _COMFORTABLE, _shown_in("K", output.unit)
+    kelvin = float(shown.to_unit(level)) if shown else 0.0
+    if shown is None or low <= kelvin <= high or not _LIVEABLE[0] <= kelvin <= _LIVEABLE[1]:
+        return 0.0
+    return (_IN_A_ROOM - kelvin) * shown.factor
+
+
+def _is_room(output: Variable) -> bool:
+    return bool(_ROOM.search(" ".join(words_of(output))))
 
 
 def plausible_outputs(

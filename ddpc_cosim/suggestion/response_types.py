@@ -71,11 +71,14 @@ class Response:
     dead_time : float
         When it first leaves 5 % of its peak [s].
     rings : bool
-        Whether it goes through its final value more than once before it settles.
+        Whether it goes through its final value more than once before it settles, or goes on doing so; of one
+        that does not settle: whether it is not just on its way yet.
     creeps : bool
         Whether it has settled as far as one sees, but a slower mode seems to begin.
     half_time : float
         When it has first covered half of its largest magnitude [s].
+    quarter_time : float
+        When it has first covered a quarter of its way [s], of one that settles.
     held : float
         For how long the output keeps its value between one jump and the next [s]; 0 if it does not.
     """
@@ -90,6 +93,7 @@ class Response:
     rings: bool = False
     creeps: bool = False
     half_time: float = np.inf
+    quarter_time: float = np.inf
     held: float = 0.0
 
     @property
@@ -164,7 +168,9 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         rings = bool(np.count_nonzero(np.diff(sides)) > 1)
         creeps = _creeps(deviation, peak)
         dead = float(time[np.argmax(np.abs(deviation) > _BAND * peak)])
-        return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
+        response = Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
+        covered = deviation * np.sign(final) >= abs(final) / 4
+        return replace(response, quarter_time=float(time[np.argmax(covered)]))
     slope = _common_slope(time, deviation)
     if slope:
         lag = _lag(time, deviation, slope, held)
@@ -176,7 +182,9 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         doubling = _doubling_time(time, deviation)
         early = float(deviation[np.argmax(time >= min(_DOUBLINGS * doubling, time[-1]))])
         return Response(ResponseType.ACCELERATING, early, 0.0, doubling, np.inf, peak)
-    return Response(ResponseType.OSCILLATING, final, 0.0, _first_reached(time, deviation, peak), np.inf, peak)
+    rise = _first_reached(time, deviation, peak)
+    turns = np.count_nonzero(np.diff(np.sign(deviation[-2 * BLOCK :] - final)))
+    return Response(ResponseType.OSCILLATING, final, 0.0, rise, np.inf, peak, rings=bool(turns > 1))
 
 
 def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:

@@ -127,6 +127,8 @@ class StepTest:
         What happens within this time cannot be distinguished from what happens at once [s].
     period : Period
         In what outputs do while the inputs rest.
+    rates : frozenset of int
+        Unstable outputs that are the derivatives of others.
     """
 
     time: FloatArray
@@ -141,6 +143,7 @@ class StepTest:
     switched: frozenset[tuple[int, int]] = field(default_factory=frozenset)
     resolution: float = 0.0
     period: Period = field(default_factory=Period)
+    rates: frozenset[int] = field(default_factory=frozenset)
 
     def is_immediate(self, response: Response) -> bool:
         """Whether a response is over within the first samples: direct feedthrough, as far as one sees."""
@@ -423,8 +426,8 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
 
 def _beyond(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing, tested: StepTest) -> StepTest:
     """Return a far longer test if in that what seems to integrate settles; else the one that there is."""
-    integrates = any(map(_is_line, chain(*tested.responses)))
-    if timing.fixed or timing.beyond <= tested.time[-1] or not integrates or not plant.may_repeat:
+    is_underway = any(map(_is_underway, chain(*tested.responses)))
+    if timing.fixed or timing.beyond <= tested.time[-1] or not is_underway or not plant.may_repeat:
         return tested
     step = timing.beyond / (BLOCK * 2.0**_BLOCKS_BEYOND)
     try:
@@ -432,11 +435,14 @@ def _beyond(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing, 
     except CosimError:  # it was not made to run so long
         return tested
     pairs = zip(chain(*tested.responses), chain(*far.responses), strict=True)
-    settles = all(after.type is ResponseType.SETTLED for before, after in pairs if _is_line(before))
+    settles = all(after.type is ResponseType.SETTLED for before, after in pairs if _is_underway(before))
     return far if settles and not far.fault and not plant.ran_out and _is_clear(far) else tested
 
 
-def _is_line(response: Response) -> bool:
+def _is_underway(response: Response) -> bool:
+    """Return whether a response may be the beginning of a far slower one."""
+    if response.type is ResponseType.OSCILLATING:
+        return not response.rings
     return response.type is ResponseType.INTEGRATING and not response.rise_time > 0.0
 
 

@@ -183,3 +183,35 @@ def test_nothing_that_is_not_a_number_is_written(own_cache_folder: None, tmp_pat
         CosimError, match=r"controllers.mfapc.*initial_gradient\[0\]\[0\] could not be identi"
     ):
         study_text(proposal.changed(controllers={**sections, "mfapc": spoilt}), "thing.fmu")
+
+
+TAIR = Variable("tair", "degC", start=5.0, description="Room air temperature")
+HEATER = Variable("heat", "W", min=0.0, max=5000.0)
+
+
+@pytest.mark.parametrize(
+    ("state", "start"),
+    [(TAIR, True), (replace(TAIR, description="Brine", name="tbrine"), False)],
+    ids=["room", "brine"],
+)
+def test_a_room_is_tried_where_it_is_as_rooms_are(
+    state: Variable, start: bool, own_cache_folder: None
+) -> None:
+    """100 W/K against 0 degC: 21 degC are 2.1 kW, and 0.3 * 0.6 of 5 kW are 9 K."""
+    model = plant("dwelling", state, (HEATER,), lambda v: (100 * (0 - v[state.name]) + v.heat) / 1e6)
+    proposal = suggest_study(build_fmu(model), trial=False)
+    assert ("heat" in proposal.study.plant.start) == start
+    if start:
+        assert proposal.study.plant.start["heat"] == pytest.approx(2100.0, rel=0.05)
+        low, high = setpoints(proposal)
+        assert 10.0 < low < 21.0 < high < 35.0
+        assert "At rest it is not as a room should be" in remarks(proposal, "head")
+
+
+def test_only_what_rests_at_0_is_moved_where_products_vanish(own_cache_folder: None) -> None:
+    supply = Variable("tsup", "degC", start=45.0, min=0.0, max=90.0)
+    valves = tuple(Variable(name, "1", min=0.0, max=1.0) for name in ("valve", "fan"))
+    flow = Variable("y", "m3/s")
+    duct = plant("duct", flow, (*valves, supply), lambda v: (v.valve * v.fan * v.tsup / 45 - v.y) / 5)
+    proposal = suggest_study(build_fmu(duct), trial=False)
+    assert proposal.study.plant.start == {"valve": 0.5, "fan": 0.5}

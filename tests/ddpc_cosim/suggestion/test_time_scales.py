@@ -14,6 +14,7 @@ from ddpc_cosim import FMUStepError, Plant, Variable
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
+from ddpc_cosim.suggestion.rates import rates_among
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
@@ -350,3 +351,32 @@ def test_the_time_scale_is_that_of_what_is_controlled() -> None:
     _, choice, sample, _ = proposed(plant, OPEN)
     assert choice.outputs == (0,)
     assert 1.0 / sample >= 5
+
+
+def test_a_third_that_is_a_seventeenth_as_slow_is_sampled_too() -> None:
+    """Air and walls of a house, 3.5 h and 60 h: a loop of a room does not wait for its walls."""
+    fast, slow = 3.5 * 3600, 60 * 3600
+    house = Linear(np.diag([-1 / fast, -1 / slow]), [1 / (3 * fast), 2 / (3 * slow)], [1.0, 1.0])
+    _, choice, sample, _ = proposed(house, Timing(1e-4, longest=1e5, beyond=1e6))
+    assert fast / 10 / 3 <= sample <= fast / 10 * 5
+    assert choice.time_scale == pytest.approx(slow * np.log(2 / 3 / 0.05), rel=0.2)
+
+
+def rates(plant: Linear) -> frozenset[int]:
+    resting = Resting(np.zeros(1), np.ones(1))
+    return rates_among(plant, resting, step_test(plant, resting, OPEN), None)
+
+
+def test_of_what_falls_over_the_rate_is_told_from_the_angle() -> None:
+    """omega' = 9 phi + u; in degrees per second and radians the units tell it."""
+    assert rates(Linear([[0, 9], [1, 0]], [1, 0], np.eye(2))) == {0}
+    assert rates(Linear([[0, 9], [1, 0]], [1, 0], [[0, 1], [1, 0]])) == {1}
+    mixed = Linear([[0, 9], [1, 0]], [1, 0], np.diag([180 / np.pi, 1.0]))
+    assert rates(mixed) == frozenset()
+    mixed.outputs = Variable("a", "deg/s"), Variable("b", "rad")
+    assert rates(mixed) == {0}
+
+
+def test_outputs_that_run_away_side_by_side_are_no_rates_of_each_other() -> None:
+    assert rates(Linear(np.diag([3.0, 2.0]), [1, 1], np.eye(2))) == frozenset()
+    assert rates(Linear(3.0, 1, [1.0, 2.0])) == frozenset()
