@@ -34,6 +34,7 @@ _PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from 
 _LATE = 1.5  # of the time between two jumps
 _LAGS_UNTIL_PARALLEL = 8.0  # at most, as blocks are twice as long as those before them
 _SPIKE = 3  # samples
+_MOSTLY_SWING = 2.5  # of where it ends: beyond twice that, as an undamped mass goes, a swing is not about it
 _SAME, _JUMP = 1e-9, 1e-3  # of what there was before: an output that is held, and one that is set anew
 
 
@@ -166,6 +167,8 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         rise = _first_reached(time, deviation, final if abs(final) > _BAND * peak else peak)
         sides = np.sign(deviation[moving] - final)
         rings = bool(np.count_nonzero(np.diff(sides)) > 1)
+        if rings and peak > _MOSTLY_SWING * abs(final):  # its way is the first swing, not where it ends
+            rise = _first_reached(time, deviation, peak)
         creeps = _creeps(deviation, peak)
         dead = float(time[np.argmax(np.abs(deviation) > _BAND * peak)])
         response = Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)

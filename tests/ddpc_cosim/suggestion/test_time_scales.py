@@ -135,6 +135,13 @@ def test_an_oscillation_has_ten_samples_per_period_and_time_to_settle(
     assert choice.time_scale == pytest.approx(np.log(20) / (damping * frequency), rel=0.3)
 
 
+def test_what_swings_by_many_times_where_it_ends_is_sampled_by_its_swing() -> None:
+    """A pressure that builds up at once and swings at 150 rad/s by ten times what is left of it."""
+    plant = Linear([[0, 1], [-(150.0**2), -15.0]], [150.0, 0.1 * 150.0**2], [1, 0])
+    _, _, sample, _ = proposed(plant, OPEN)
+    assert 10 <= 2 * np.pi / 150.0 / sample <= 60
+
+
 def test_a_slow_output_beside_a_fast_one_reaches_its_setpoints() -> None:
     """1 s and 100 s: the fast one is sampled, the slow one has time to settle."""
     _, _, sample, duration = proposed(Linear(np.diag([-1, -0.01]), np.diag([1, 0.01]), np.eye(2)), OPEN)
