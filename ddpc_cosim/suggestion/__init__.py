@@ -1,11 +1,11 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
-from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.processes.sandbox import demanded
+from ddpc_cosim.signals.signals import Reference
 from ddpc_cosim.study.file_format.sections import (
     BoundsSection,
     ControllerSection,
@@ -32,6 +32,8 @@ from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.joining import Joined, join
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
+from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.quantities import plausible_outputs
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.roles import (
@@ -45,6 +47,7 @@ from ddpc_cosim.suggestion.roles import (
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.systems import System
 from ddpc_cosim.suggestion.trial import Tell, tried_out
+from ddpc_cosim.suggestion.values import AskedRange, OperatingPoint, operating_point, with_own_units
 from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable
@@ -59,6 +62,7 @@ _BLOCKS, _BLOCKS_OF_FIXED_STEPS = 12, 8
 _FIRST_STEPS = 24 * (2**_BLOCKS - 1)
 # Where the FMU gives no stop time: from a tenth of a millisecond to a day [s].
 _FIRST_STEP, _LONGEST = 1e-4, 1e5
+_BEYOND = 1e6  # s: days, as a house needs them
 # Where steps must be equal and the FMU does not say of what size.
 _STEPS, _STEP = 500, 1e-2
 _LONGEST_IN_STOP_TIMES = 10.0
@@ -69,8 +73,8 @@ def suggest_study(
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
-    at: Mapping[str, ParameterValue] | None = None,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
+    at: OperatingPoint | None = None,
+    ranges: Mapping[str, AskedRange] | None = None,
     sampling_time: float | None = None,
     duration: float | None = None,
     step_timeout: float = 60.0,
@@ -87,16 +91,19 @@ def suggest_study(
         The FMU, or an SSP archive; several FMUs become a coupled plant, whose connections are proposed.
     inputs, outputs : sequence of str, optional
         Signals to use; default: those that the step test shows to be of use.
-    at : mapping of str to number or str, optional
-        The operating point: levels of inputs, parameters and start values, by name; default: the FMU's own.
-    ranges : mapping of str to (float, float), optional
-        Of inputs: how far they may go; of outputs: between what values their setpoints are.
+    at : mapping of str to number or str, path, or several of them, optional
+        The operating point: levels of inputs, parameters and start values, by name, with or without a unit
+        (``"20 degC"``), or a file of them; default: the FMU's own.
+    ranges : mapping of str to (float, float) or str, optional
+        Of inputs: how far they may go; of outputs: between what values their setpoints are; in another unit
+        as a text, ``"20:24 degC"``.
     sampling_time, duration : float, optional
         Of the loop [s]; default: what the step test shows.
     step_timeout : float
         Seconds that one call of the FMU may take.
     budget : float
-        Seconds that all of it may take: up to half of them for the step test, the rest for the trial.
+        Seconds of computing that all of it may take: up to half of them for the step test, the rest for the
+        trial. On the wall it may be five times as long, where others have the processors.
     trial : bool
         Whether to run each proposed controller once, to leave out those that fail, and to move setpoints to
         what can be reached.
@@ -123,8 +130,9 @@ def suggest_study(
     tell(f"reading {label}")
     title = joined.title if joined else path.stem
     description, steps, title = (system.description, None, title) if system else _runnable(path)
-    request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
-    request.check(description, label, steps)
+    levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
+    request = Request(levels, spans, sampling_time, duration, inputs, outputs)
+    request.check(description, label, steps, faults)
     roles = _roles(description, request)
     driven, drives_too = _candidates(description, label, request, "input", roles)
     read, reads_too = _candidates(description, label, request, "output", roles)
@@ -143,12 +151,12 @@ def suggest_study(
             sandbox=sandbox,
         )
 
-    point = find(open_plant, description, request, timing, roles)
+    point = find(open_plant, description, request, timing, roles, try_reach=trial)
     if system and point.choice.inputs:
         sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
         if system.refine(open_plant, point, sample):
             tell(f"step test of {label}, whose parts exchange values every {system.exchange:g} s")
-            point = find(open_plant, description, request, timing, roles)
+            point = find(open_plant, description, request, timing, roles, try_reach=trial)
     if not point.choice.inputs:
         ends = zip(point.inputs, point.rest, point.rest + point.tested.steps, strict=True)
         steps_tried = [f"{v.name} from {low:g} to {high:g}" for v, low, high in ends]
@@ -165,7 +173,7 @@ def suggest_study(
     plant = replace(plant, parameters=request.parameters(description))
     proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
     if trial:
-        proposal = tried_out(proposal, deadline, tell, sandboxed=sandbox)
+        proposal = tried_out(proposal, time.monotonic() + deadline - monotonic(), tell, sandboxed=sandbox)
     controller = controller_words(point.inputs, point.outputs, point.tested)
     of_system = (*(joined.remarks if joined else ()), *(system.remarks if system else ()))
     head = (*proposal.comments.get("head", ()), *(() if system else controller), *point.remarks, *of_system)
@@ -285,7 +293,7 @@ def _timing(description: PlantDescription, request: Request) -> Timing:
         blocks, fixed = _BLOCKS_OF_FIXED_STEPS, True
     else:
         step, blocks, fixed = stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, _BLOCKS, False
-    timing = Timing(step, fixed=fixed, blocks=blocks, longest=longest)
+    timing = Timing(step, fixed=fixed, blocks=blocks, longest=longest, beyond=_BEYOND)
     return replace(
         timing, guess=design.guessed_time_scale(request, stop, experiment.step_size) or timing.guess
     )
@@ -305,9 +313,21 @@ def _propose(
     measurements = outputs + _also_measured(point.outputs, outputs, tested)
     working = design.working_range(point.inputs, bounds).of(choice.inputs)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
-    references, duration = design.setpoints(tested, choice, point.outputs, working, sample, request)
-    if unstable:  # there is nothing else to ask for before it is stabilised
-        references = design.near_rest(tested, choice, point.outputs, duration)
+    limited, why = plausible_outputs(point.outputs, design.where_it_rests(tested), request.ranges)
+
+    def steps_of(outputs: Sequence[Variable]) -> tuple[dict[str, Reference], float]:
+        """Return the references within the limits of the outputs."""
+        found, duration = design.setpoints(tested, choice, outputs, working, sample, request, point.reach)
+        # Of an unstable plant there is nothing else to ask for before it is stabilised.
+        return design.near_rest(tested, choice, outputs, duration) if unstable else found, duration
+
+    references, duration = steps_of(limited)
+    unlimited, _ = steps_of(point.outputs)
+    implausible = [
+        f"{name}: {why[name]}; --range {name}=LO:HI if it is meant to go further."
+        for name in references
+        if references[name] != unlimited[name]
+    ]
     levels = zip(point.inputs, point.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
     nominal = _sizes(inputs, working.size) | _sizes(
@@ -323,10 +343,12 @@ def _propose(
     acting = Acting.of(point, design.clean(_SAMPLES_PER_LEVEL * sample))
     sizes = len(inputs) + len(acting.moving), len(outputs), len(measurements)
     needed = max(_recording_length(c, *sizes) for c in chosen.values())
-    samples = max(_SAMPLES, 2 * needed)
+    samples = design.whole_periods(max(_SAMPLES, 2 * needed), sample, tested.period.seconds)
     circumstances = Circumstances(
         point.inputs, point.outputs, tested, choice, sample, unstable, acting=frozenset(point.disturbances)
     )
+    said = comments(circumstances, left_out, point.warnings)
+    said["reference"] = (*said["reference"], *implausible, *_on_reach(point, working))
     plant = replace(
         plant,
         inputs=[v.name for v in inputs],
@@ -352,12 +374,29 @@ def _propose(
         outputs=outputs,
         measurements=measurements,
         origins={v.name: bounds[v.name].origin for v in inputs},
-        comments=_both(comments(circumstances, left_out, point.warnings), acting.comments),
+        comments=_both(said, acting.comments),
         hints=tuple(hints(circumstances, point.room)),
         gains=_settled_gains(tested, choice),
         rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
     )
+
+
+def _on_reach(point: TriedPoint, working: design.Range) -> Iterator[str]:
+    """Tell which outputs went less far than gains say with inputs that were held."""
+    if point.reach is None:
+        return
+    ways = design.reachable(point.choice.gains, working)
+    for row, j in enumerate(point.choice.outputs):
+        pairs = zip(ways, point.reach.less(ways), ("up", "down"), strict=True)
+        sides = [
+            f"{less[row]:.3g} {side} instead of {way[row]:.3g}"
+            for way, less, side in pairs
+            if less[row] < way[row]
+        ]
+        if sides:
+            name = point.outputs[j].name
+            yield f"{name}: held inputs take it less far than its gain says: {', '.join(sides)}."
 
 
 def check_identified(label: str, point: TriedPoint) -> None:

@@ -55,13 +55,29 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     all_outputs : bool
         Whether the user has chosen the outputs: then all of them are kept.
     """
-    shown = np.inf if tested.static else _time_scale(tested)
-    guessed = not np.isfinite(shown)
-    time_scale = fallback if guessed else shown
+    every = Choice((*range(len(room)),), (*range(len(tested.responses)),), np.zeros((0, 0)), np.inf, True)
+    first = _chosen(tested, room, _scale(tested, every, fallback), all_outputs)
+    if not first.inputs:
+        return first
+    # What is not chosen may be faster or slower by any factor.
+    second = _chosen(tested, room, _scale(tested, first, fallback), all_outputs)
+    return second if second.inputs else first
+
+
+def _scale(tested: StepTest, choice: Choice, fallback: float) -> tuple[float, bool]:
+    """Return the time scale of some signals, and whether it is a guess."""
+    shown = np.inf if tested.static else _time_scale(tested, choice)
+    return (shown, False) if np.isfinite(shown) else (fallback, True)
+
+
+def _chosen(tested: StepTest, room: FloatArray, scale: tuple[float, bool], all_outputs: bool) -> Choice:
+    """Return the choice where the plant has such a time scale, which may be a guess."""
+    time_scale, guessed = scale
     gains = lasting_gains(tested, time_scale)
     if all_outputs:  # where nothing lasts, peaks are the only measure
         gains = np.where(gains.any(axis=1, keepdims=True), gains, _peaks(tested))
     else:
+        gains[list(tested.rates)] = 0.0
         gains = _not_adrift(_urgent(gains, tested.responses), tested, room)
     reach = np.abs(gains) * np.abs(room)
     lively = [i for i in range(len(room)) if np.any(reach[:, i] > 0.0)]
@@ -135,9 +151,10 @@ def _is_rough(response: Response) -> bool:
     return response.type is ResponseType.OSCILLATING or response.held > 0.0
 
 
-def _time_scale(tested: StepTest) -> float:
+def _time_scale(tested: StepTest, choice: Choice) -> float:
     """Return the longest settling time; where nothing settles, what else tells how fast the plant is."""
-    every = [r for row in tested.responses for r in row if not tested.is_immediate(r)]
+    pairs = (tested.responses[j][i] for j in choice.outputs for i in choice.inputs)
+    every = [response for response in pairs if not tested.is_immediate(response)]
     doubling = [_DOUBLINGS * r.rise_time for r in every if r.is_unstable]
     if doubling:
         return min(doubling)

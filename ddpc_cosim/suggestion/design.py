@@ -18,7 +18,7 @@ from ddpc_cosim.signals.signals import Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType
+from ddpc_cosim.suggestion.response_types import BLOCK, Response, ResponseType, without_spike
 from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -38,6 +38,8 @@ _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, t
 _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
 _SAMPLES_PER_TIME_CONSTANT, _TIME_CONSTANTS_PER_SETTLING = 10, 3
 _SAMPLES_PER_RISE = 2
+_QUARTER = 0.288  # of its time constant: when a quarter of a lag of first order is gone
+_FAR, _EARLY = 0.03, 0.4  # of the time constant of the rest
 # Where something fast stands beside something slow: an end of the study must be in sight.
 _MOST_SAMPLES_PER_SETTLING, _MOST_SAMPLES_PER_RINGING = 150, 500
 _SAMPLES_PER_LAG = 5
@@ -49,6 +51,11 @@ _HORIZON, _INITIAL_LENGTH = 15, 5
 _LEAST_SAMPLES_PER_SETPOINT = 4 * _HORIZON
 _SMALL_STEP = 0.2  # of what an unstable output has done after a few doublings
 _REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
+_AS_FAR, _FREE = 0.95, 0.9  # of what gains promise: what is reached; of what was reached: what is asked for
+_FADING = 0.7  # of the movement in the time before, which is half as long
+_NEAR = 1.7  # times a sampling time: where parts of a period are as good
+_ROUNDING = 1e-6
+_MOST_IN_PERIODS = 2000  # samples
 _DRIFT = 0.1  # of the largest response: how far an output at rest may still move
 _MARGIN = 0.05  # of an output's range, kept from its limits
 _ROOM = 0.5  # share of the way from rest to a limit that a setpoint takes: the rest is for overshoot
@@ -196,9 +203,9 @@ def sampling_time(
     if constants and not any(r.is_unstable for r in responses):  # horizons must reach beyond a dead time
         wanted = max(wanted, max(r.dead_time for r in slow) / _SAMPLES_PER_TIME_CONSTANT)
     rises = [r.rise_time for r in responses if (r.rings and not r.is_transient) or r.type is _SWINGS]
-    moving = drifting(tested)
-    rises += [_swing_time(tested.time, tested.rest[:, j]) for j in choice.outputs if moving[j]]
-    limits = [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
+    rises += swings(tested, choice.outputs).values()
+    limits = [part / _SAMPLES_PER_TIME_CONSTANT for r in slow if (part := _fast_part(r))]
+    limits += [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
     limits += [r.rise_time / _SAMPLES_PER_LAG for r in responses if r.type is _LAGS and r.rise_time > 0.0]
     if not choice.guessed:
         most = _MOST_SAMPLES_PER_RINGING if rises else _MOST_SAMPLES_PER_SETTLING
@@ -209,6 +216,8 @@ def sampling_time(
     wanted = max(wanted, float(tested.time[0]), *clocks)
     multiple = 1 if fixed_step is None else max(1, round(wanted / fixed_step))
     sample = nearest_125(wanted) if fixed_step is None else multiple * fixed_step
+    if fixed_step is None and duration is None and tested.period.seconds > 2 * sample:
+        return _part_of(tested.period.seconds, sample)
     if duration is None or _divides(sample, duration):
         return sample
     if fixed_step is None:
@@ -221,6 +230,31 @@ def sampling_time(
     return fitting[0]
 
 
+def _fast_part(response: Response) -> float:
+    """Return the time constant with which a quarter of a response is gone, where the rest takes longer [s].
+
+    It is 0 of a lag of first order, and where what is fast is so fast that the rest is all that one can see.
+    """
+    fast = response.quarter_time / _QUARTER
+    share = fast / (response.settling_time / _TIME_CONSTANTS_PER_SETTLING)
+    return fast if _FAR < share < _EARLY else 0.0
+
+
+def _part_of(period: float, sample: float) -> float:
+    """Return a part of a period near a sampling time [s], with as few digits as possible."""
+    fewest, most = math.ceil(period / sample / _NEAR), math.floor(period / sample * _NEAR)
+    parts = [clean(period / count) for count in range(max(1, fewest), max(1, most) + 1)] or [sample]
+    return min(parts, key=lambda part: (len(f"{part:.12g}".strip("0.")), abs(math.log(part / sample))))
+
+
+def whole_periods(samples: int, sample: float, period: float) -> int:
+    """Return so many samples, or more of them, that they are whole periods [s], if that is not for ever."""
+    if not period > 0.0:
+        return samples
+    whole = round(math.ceil(samples * sample / period - _ROUNDING) * period / sample)
+    return whole if whole <= max(_MOST_IN_PERIODS, samples) else samples
+
+
 def _divides(sample: float, duration: float) -> bool:
     try:
         return whole_steps(duration, sample) > 0
@@ -230,8 +264,9 @@ def _divides(sample: float, duration: float) -> bool:
 
 def _swing_time(time: FloatArray, y: FloatArray) -> float:
     """Return how long an output that moves at rest takes for half its range where it is fastest [s]."""
-    steepest = float(np.max(np.abs(np.diff(y) / np.diff(time))))
-    return float(np.ptp(y)) / 2 / steepest
+    y = without_spike(y)
+    slopes = np.sort(np.abs(np.diff(y) / np.diff(time)))
+    return float(np.ptp(y)) / 2 / float(slopes[-1])
 
 
 def nearest_125(value: float) -> float:
@@ -241,6 +276,32 @@ def nearest_125(value: float) -> float:
     return min(candidates, key=lambda candidate: abs(math.log(candidate / value)))
 
 
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far each chosen output goes from where it rests.
+
+    Parameters
+    ----------
+    up, down : array, shape (p,)
+        Where the inputs are as linear gains say they must be for the setpoints; infinite where that was not
+        tried.
+    """
+
+    up: FloatArray
+    down: FloatArray
+
+    @classmethod
+    def unknown(cls, outputs: int) -> "Reach":
+        """Return what is known of outputs before anything is tried."""
+        return cls(np.full(outputs, np.inf), np.full(outputs, np.inf))
+
+    def less(self, ways: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return how far setpoints may go, up and down, where gains promise more than was reached."""
+        pairs = zip(ways, (self.up, self.down), strict=True)
+        up, down = (np.where(reached < _AS_FAR * way, _FREE * reached, way) for way, reached in pairs)
+        return up, down
+
+
 def setpoints(
     tested: StepTest,
     choice: Choice,
@@ -248,11 +309,13 @@ def setpoints(
     working: Range,
     sample: float,
     request: Request,
+    reach: Reach | None = None,
 ) -> tuple[dict[str, Reference], float]:
     """Return a reference in steps for each chosen output, and the duration of the loop [s].
 
     One after the other the outputs go up, then down: to the ends of a range that is asked for, else as far as
-    the inputs can hold them, and half of the way to a limit of the output at most.
+    the inputs can hold them (where that was tried, no further than they went), and half of the way to a limit
+    of the output at most.
 
     Raises
     ------
@@ -261,11 +324,15 @@ def setpoints(
     """
     n, rest = len(choice.outputs), where_it_rests(tested)
     hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
+    hold = whole_periods(hold, sample, tested.period.seconds)
     samples = 2 * n * hold if request.duration is None else whole_steps(request.duration, sample)
     if samples < 2 * n:
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
         raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
-    up, down = (np.minimum(way, limits(tested, choice)) for way in reachable(choice.gains, working))
+    ways = reachable(choice.gains, working)
+    if reach is not None:
+        ways = reach.less(ways)
+    up, down = (np.minimum(way, limits(tested, choice)) for way in ways)
     references = dict[str, Reference]()
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]
@@ -298,23 +365,49 @@ def near_rest(
     for j in choice.outputs:
         first = float(tested.rest[0, j])
         step = _SMALL_STEP * max(abs(response.effect) or response.peak for response in tested.responses[j])
-        values = (clean(first), rounded(first + step, step / 10))
+        if not first + step <= outputs[j].max and first - step >= outputs[j].min:
+            step = -step
+        step = float(np.clip(first + step, outputs[j].min, outputs[j].max)) - first
+        values = (clean(first), rounded(first + step, abs(step) / 10))
         references[outputs[j].name] = Steps((0.0, clean(duration / 2)), values)
     return references
 
 
 def where_it_rests(tested: StepTest) -> FloatArray:
-    """Return the outputs while the inputs rest: where they end, or where they begin if they drift."""
+    """Return the outputs while the inputs rest: where they end, or where they begin if they drift.
+
+    Of those that repeat themselves it is the mean over whole periods.
+    """
     rest: FloatArray = np.where(drifting(tested), tested.rest[0], tested.rest[-1])
+    for j, mean in tested.period.means.items():
+        rest[j] = mean
     return rest
 
 
 def drifting(tested: StepTest) -> NDArray[np.bool_]:
-    """Return which outputs do not come to rest though the inputs do."""
-    last = tested.rest[-BLOCK:]
-    peaks = [max(response.peak for response in row) for row in tested.responses]
-    moving: NDArray[np.bool_] = np.ptp(last, axis=0) > _DRIFT * np.array(peaks)
+    """Return which outputs do not come to rest though the inputs do, and do not repeat themselves either.
+
+    What fades away from block to block, each twice as long, is on its way to where it rests.
+    """
+    moving = unsteady(tested)
+    moving[list(tested.period.means)] = False
     return moving
+
+
+def unsteady(tested: StepTest) -> NDArray[np.bool_]:
+    """Return which outputs do not come to rest though the inputs do."""
+    last = np.ptp(tested.rest[-BLOCK:], axis=0)
+    peaks = [max(response.peak for response in row) for row in tested.responses]
+    moving: NDArray[np.bool_] = last > _DRIFT * np.array(peaks)
+    if len(tested.rest) >= 2 * BLOCK:
+        moving &= last > _FADING * np.ptp(tested.rest[-2 * BLOCK : -BLOCK], axis=0)
+    return moving
+
+
+def swings(tested: StepTest, outputs: Sequence[int]) -> dict[int, float]:
+    """Return of the outputs that do not rest how long they take for half their range [s], by position."""
+    moving = unsteady(tested)
+    return {j: _swing_time(tested.time, tested.rest[:, j]) for j in outputs if moving[j]}
 
 
 def reachable(gains: FloatArray, working: Range) -> tuple[FloatArray, FloatArray]:

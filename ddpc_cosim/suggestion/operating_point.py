@@ -1,10 +1,8 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from time import monotonic
 
 import numpy as np
 
@@ -14,8 +12,19 @@ from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
-from ddpc_cosim.suggestion.design import Bounds
+from ddpc_cosim.suggestion.design import Bounds, Reach
 from ddpc_cosim.suggestion.embedded import Embedded, embedded_control
+from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.periods import found_at_rest
+from ddpc_cosim.suggestion.quantities import (
+    in_kelvin,
+    is_temperature,
+    remarks_on,
+    to_comfort,
+    usual_levels,
+)
+from ddpc_cosim.suggestion.rates import rates_among
+from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.roles import Roles, usual_range, without
@@ -25,15 +34,16 @@ from ddpc_cosim.variables import FloatArray, Variable
 
 TestedPlant = FMUPlant | OpenSystem
 
-_USUAL = {"K": 293.15, "Pa": 101325.0}
-_OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge|error).*")
 _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
 _BETTER = 10.0
 _HALF = 0.5
 _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
+_INSIDE = 0.1  # of its range: how far from an end of it an input rests where a room is as it should be
+_IMPLAUSIBLE = 1000.0
 _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
+_FOR_REACH = 0.2  # of the time for a step test
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +62,7 @@ class TriedPoint:
     tested: StepTest
     choice: Choice
     remarks: tuple[str, ...] = ()
+    reach: Reach | None = None
     disturbances: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -68,7 +79,7 @@ class TriedPoint:
     @property
     def influence(self) -> float:
         """How much the inputs matter."""
-        return _influence(self.tested, self.choice, self.room)
+        return _influence(self.tested, self.choice, self.room, self.outputs)
 
 
 def find(
@@ -77,6 +88,8 @@ def find(
     request: Request,
     timing: Timing,
     roles: Roles,
+    *,
+    try_reach: bool = False,
 ) -> TriedPoint:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -90,6 +103,8 @@ def find(
         What is asked for, and what is known about time.
     roles : Roles
         What its inputs are for.
+    try_reach : bool
+        Whether to try how far the outputs go with the inputs that setpoints would need.
 
     Raises
     ------
@@ -103,12 +118,33 @@ def find(
     resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
     switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
     embedded = embedded_control(open_plant, switches, parameters, timing)
-    usual = _usual_levels(every, {**given, **embedded.levels}, request.ranges)
-    remarks = [*_remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
-    at_start = _at(open_plant, {**usual, **embedded.levels, **given}, {}, parameters, request, timing, roles)
-    at_start = _held(at_start, embedded, open_plant, parameters, ends, roles)
-    at_start = _switched_on(at_start, open_plant, parameters, ends, roles, given)
+    usual = usual_levels(every, {**given, **embedded.levels}, request.ranges)
+    remarks = [*remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
+    start = {**usual, **embedded.levels, **given}
+    at_start = _at(open_plant, start, {}, parameters, request, timing, roles, try_reach)
+    at_start = _held(at_start, embedded, open_plant, parameters, ends, roles, try_reach)
+    at_start = _switched_on(at_start, open_plant, parameters, ends, roles, try_reach, given)
     best = replace(at_start, remarks=(*remarks, *at_start.remarks))
+    warm = _comfortable(at_start, {*usual, *given})
+    if warm and ends - monotonic() > _LEAST_TIME:
+        listed = ", ".join(f"{name} = {level:g}" for name, level in warm.items())
+        remark = f"At rest it is not as a room should be: tried at {listed}; --at moves it elsewhere"
+        try:
+            spared = replace(timing, budget=ends - monotonic())
+            point = _at(
+                open_plant,
+                {**at_start.start, **warm},
+                at_start.bounds,
+                parameters,
+                request,
+                spared,
+                roles,
+                try_reach,
+            )
+        except CosimError:  # it does not run there
+            point = at_start
+        if point.choice.inputs and not _comfortable(point, ()):
+            return replace(point, remarks=(*remarks, remark, *point.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     # What rests elsewhere than at 0, or acts from outside, stays: it is what the plant's author had in mind.
     resting = zip((variable.name for variable in at_start.inputs), at_start.rest, strict=True)
@@ -117,23 +153,27 @@ def find(
     attempts = [({**at_start.start, **levels}, at_start.bounds, _remark_on_levels(levels))]
     for factor in _WIDER:
         wider = _wider(at_start.inputs, at_start.bounds, factor)
-        attempts.append((dict(at_start.start), wider, _remark_on_ranges(at_start.bounds, wider)))
+        remark = _remark_on_ranges(at_start.bounds, wider, plausible=factor < _IMPLAUSIBLE)
+        attempts.append((dict(at_start.start), wider, remark))
     for start, bounds, remark in attempts:
         left = ends - monotonic()
         is_wider = bounds is not at_start.bounds
-        if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and best.choice.inputs):
+        may_be_wider = not best.choice.inputs or _warms_by_guess(best)
+        if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and not may_be_wider):
             break
         if not remark:
             continue
         try:
-            point = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left), roles)
+            point = _at(
+                open_plant, start, bounds, parameters, request, replace(timing, budget=left), roles, try_reach
+            )
         except CosimError:  # it does not run there
             continue
-        if point.influence > _BETTER * best.influence:
+        if point.influence > min(_BETTER * best.influence, max(_MATTERS, best.influence)):
             best = replace(point, remarks=(*remarks, remark, *point.remarks))
     if best.choice.inputs or not roles.disturbances:
         return best
-    return _driving_suspects(best, open_plant, parameters, ends, roles)
+    return _driving_suspects(best, open_plant, parameters, ends, roles, try_reach)
 
 
 def _held(
@@ -143,6 +183,7 @@ def _held(
     parameters: Mapping[str, ParameterValue],
     ends: float,
     roles: Roles,
+    try_reach: bool,
 ) -> TriedPoint:
     """Return the point with overrides where they hold what the plant's own control holds."""
     unknown = replace(embedded, overrides=tuple(n for n in embedded.overrides if n not in embedded.levels))
@@ -153,7 +194,7 @@ def _held(
         return point
     start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
     try:
-        held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles)
+        held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles, try_reach)
     except CosimError:  # it does not run there
         return point
     if len(held.lively) < len(point.lively):
@@ -176,11 +217,14 @@ def _driving_suspects(
     parameters: Mapping[str, ParameterValue],
     ends: float,
     roles: Roles,
+    try_reach: bool,
 ) -> TriedPoint:
     """Return the point with what looks like a disturbance driven, as nothing else does anything."""
     timing = replace(point.timing, budget=max(ends - monotonic(), _LEAST_TIME))
     everything = replace(roles, disturbances={})
-    point = _at(open_plant, point.start, point.bounds, parameters, point.request, timing, everything)
+    point = _at(
+        open_plant, point.start, point.bounds, parameters, point.request, timing, everything, try_reach
+    )
     driven = [point.inputs[i].name for i in point.choice.inputs if point.inputs[i].name in roles.disturbances]
     return replace(point, remarks=(*point.remarks, *_remark_on_suspects(driven, roles, "an output")))
 
@@ -191,6 +235,7 @@ def _switched_on(
     parameters: Mapping[str, ParameterValue],
     ends: float,
     roles: Roles,
+    try_reach: bool,
     given: Collection[str],
 ) -> TriedPoint:
     """Return the point with what switches the plant on at 1, if more inputs do something then."""
@@ -204,7 +249,7 @@ def _switched_on(
     start, timing = {**point.start, **levels}, replace(point.timing, budget=left)
     switching = replace(roles, fixed=roles.perhaps_enabling)
     try:
-        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, switching)
+        on = _at(open_plant, start, point.bounds, parameters, point.request, timing, switching, try_reach)
     except CosimError:  # it does not run so
         return point
     if len(on.lively & driven) <= before:
@@ -224,6 +269,7 @@ def _at(
     request: Request,
     timing: Timing,
     roles: Roles,
+    try_reach: bool,
 ) -> TriedPoint:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
@@ -249,7 +295,22 @@ def _at(
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
                 choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
+        reach, fixed_step = None, timing.step if timing.fixed else None
+        if rates := rates_among(plant, resting, tested, fixed_step):
+            tested = replace(tested, rates=rates)
+            choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
         driven = {plant.inputs[i].name for i in choice.inputs}
+        if choice.inputs:
+            unstable = any(response.is_unstable for row in tested.responses for response in row)
+            swings = {} if unstable else design.swings(tested, choice.outputs)
+            if swings:
+                seconds = _FOR_REACH * timing.budget
+                period = found_at_rest(plant, rest, parameters, swings, fixed_step, seconds)
+                tested = replace(tested, period=period)
+        if choice.inputs and try_reach:
+            working = design.working_range(plant.inputs, bounds).of(choice.inputs)
+            spared = replace(timing, budget=_FOR_REACH * timing.budget)
+            reach = tried_reach(plant, resting, tested, choice, working, spared)
         return TriedPoint(
             plant.inputs,
             plant.outputs,
@@ -263,6 +324,7 @@ def _at(
             tested,
             choice,
             remarks,
+            reach,
             {name: why for name, why in roles.disturbances.items() if name not in driven},
         )
 
@@ -326,52 +388,6 @@ def sampling_time_of(tested: StepTest, choice: Choice, timing: Timing, request: 
     return request.sampling_time or design.sampling_time(tested, choice, fixed_step, request.duration)
 
 
-def _usual_levels(
-    inputs: Iterable[Variable], given: Collection[str], ranges: Mapping[str, tuple[float, float]]
-) -> dict[str, float]:
-    """Return levels of temperatures and absolute pressures that would start at 0.
-
-    Parameters
-    ----------
-    inputs : iterable of Variable
-        All inputs.
-    given : collection of str
-        Those whose level is known.
-    ranges : mapping of str to (float, float)
-        Those that are asked for.
-
-    Returns
-    -------
-    levels : dict of str to float
-        The nominal value if there is one, else a usual one, by name.
-    """
-    levels = {}
-    for variable in inputs:
-        is_difference = -np.inf < variable.min < 0.0 or any(
-            _OF_DIFFERENCES.fullmatch(part) for part in re.split("[._]", variable.name)
-        )
-        if (
-            variable.unit in _USUAL
-            and variable.start == 0.0
-            and variable.name not in given
-            and not is_difference
-        ):
-            usual = variable.nominal if variable.nominal not in (0.0, 1.0) else _USUAL[variable.unit]
-            low, high = ranges.get(variable.name, (variable.min, variable.max))
-            levels[variable.name] = float(np.clip(usual, low, high))
-    return levels
-
-
-def _remarks_on(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
-    """Return what is said of the inputs that start at such levels."""
-    units = {variable.name: variable.unit for variable in inputs}
-    return [
-        f"{name} starts at 0 {units[name]}, which can hardly be meant: tried at {level:g} {units[name]}; "
-        f"give --at {name}={level:g}, or what is right"
-        for name, level in levels.items()
-    ]
-
-
 def _remark_on_levels(levels: Mapping[str, float]) -> str:
     listed = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
     what = "Where the plant starts its inputs do next to nothing: tried at"
@@ -390,21 +406,61 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
     return wider
 
 
-def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds]) -> str:
+def _comfortable(point: TriedPoint, given: Collection[str]) -> dict[str, float]:
+    """Return levels of inputs at which rooms that rest too cold or too hot should be as rooms are, if any."""
+    choice, tested = point.choice, point.tested
+    if not choice.inputs or {point.inputs[i].name for i in choice.inputs} & {*given}:
+        return {}
+    responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
+    if any(r.type not in (ResponseType.SETTLED, ResponseType.INSENSITIVE) for r in responses):
+        return {}
+    rest = design.where_it_rests(tested)[list(choice.outputs)]
+    missing = np.array(
+        [to_comfort(point.outputs[j], level) for j, level in zip(choice.outputs, rest, strict=True)]
+    )
+    if not missing.any():
+        return {}
+    u = point.rest[list(choice.inputs)] + np.linalg.pinv(choice.gains) @ missing
+    levels = dict(zip([point.inputs[i].name for i in choice.inputs], u.tolist(), strict=True))
+    ends = {name: point.bounds[name] for name in levels}
+    margins = {name: _INSIDE * (end.high - end.low) for name, end in ends.items()}
+    inside = {
+        name: float(f"{np.clip(u, ends[name].low + margins[name], ends[name].high - margins[name]):.4g}")
+        for name, u in levels.items()
+    }
+    return {name: level for name, level in inside.items() if level != point.rest[_position(point, name)]}
+
+
+def _position(point: TriedPoint, name: str) -> int:
+    return [variable.name for variable in point.inputs].index(name)
+
+
+def _warms_by_guess(point: TriedPoint) -> bool:
+    """Return whether inputs whose ranges are guesses move temperatures alone: one watt heats no house."""
+    guesses = (point.bounds[point.inputs[i].name].origin for i in point.choice.inputs)
+    outputs = (point.outputs[j] for j in point.choice.outputs)
+    return all(origin.startswith("guessed") for origin in guesses) and all(map(is_temperature, outputs))
+
+
+def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds], *, plausible: bool) -> str:
     changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
     what = "Within the ranges that were guessed first nothing responds: tried"
-    return f"{what} {', '.join(changed)}; --range NAME=LO:HI if that is too far" if changed else ""
+    doubt = "--range NAME=LO:HI if that is too far"
+    if not plausible:
+        doubt = f"that is not plausible, a thousand times the first guess: {doubt.replace('if', 'where')}"
+    return f"{what} {', '.join(changed)}; {doubt}" if changed else ""
 
 
 def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) -> dict[str, float]:
-    """Return levels of inputs half way to the ends of their ranges, by name."""
-    levels = (rest + _HALF * room).tolist()
-    return {variable.name: level for variable, level in zip(inputs, levels, strict=True)}
+    """Return levels of inputs that rest at 0, half way to the ends of their ranges, by name."""
+    levels = zip(inputs, rest.tolist(), (rest + _HALF * room).tolist(), strict=True)
+    return {variable.name: level for variable, at_rest, level in levels if at_rest == 0.0}
 
 
-def _influence(tested: StepTest, choice: Choice, room: FloatArray) -> float:
-    """Return what the inputs move the output by that they move most, in parts of its level."""
+def _influence(tested: StepTest, choice: Choice, room: FloatArray, outputs: Sequence[Variable]) -> float:
+    """Return what the inputs move the output by that they move most, in parts of its level (above 0 K)."""
     reach = np.abs(choice.gains) @ np.abs(room[list(choice.inputs)])
-    levels = np.abs(design.where_it_rests(tested))[list(choice.outputs)]  # not where it drifts to
+    rest = design.where_it_rests(tested)  # not where it drifts to
+    levels = [abs(in_kelvin(outputs[j], float(rest[j]))) for j in choice.outputs]
     shares = [r / max(level, r) for r, level in zip(reach, levels, strict=True) if r > 0.0]
     return float(max(chain(shares, [0.0])))

@@ -39,9 +39,15 @@ class Request:
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
 
-    def check(self, description: Declarations, label: str, steps: StepSizes | None = None) -> None:
-        """Raise ConfigError for everything that the plant, or an FMU with such steps, does not allow."""
-        faults = [f"{label}: {fault}" for fault in (*self._range_faults(description), *self._time_faults())]
+    def check(
+        self, description: Declarations, label: str, steps: StepSizes | None = None, known: Sequence[str] = ()
+    ) -> None:
+        """Raise ConfigError for everything that the plant, or an FMU with such steps, does not allow.
+
+        Faults that are known already are told with the others.
+        """
+        every = (*known, *self._range_faults(description), *self._time_faults())
+        faults = [f"{label}: {fault}" for fault in every]
         checks: list[Callable[[], object]] = [
             partial(choose_signals, description, label, self.inputs, self.outputs),
             partial(StartValues, description, label, self.at, ()),
@@ -121,7 +127,7 @@ def _unfit(description: Declarations, name: str, signal: PlantSignal | None) -> 
 
 
 def _not_a_range(pair: Any) -> str:
-    needed = "two finite numbers LO:HI with LO < HI"
+    needed = "two finite numbers LO:HI with LO < HI, and the unit behind them if it is another one"
     if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
         return f"{pair!r} is not a range; needed: {needed}"
     fault = limits_error(pair)

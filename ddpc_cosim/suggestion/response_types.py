@@ -33,6 +33,8 @@ _GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as 
 _PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from it
 _LATE = 1.5  # of the time between two jumps
 _LAGS_UNTIL_PARALLEL = 8.0  # at most, as blocks are twice as long as those before them
+_SPIKE = 3  # samples
+_MOSTLY_SWING = 2.5  # of where it ends: beyond twice that, as an undamped mass goes, a swing is not about it
 _SAME, _JUMP = 1e-9, 1e-3  # of what there was before: an output that is held, and one that is set anew
 
 
@@ -70,11 +72,14 @@ class Response:
     dead_time : float
         When it first leaves 5 % of its peak [s].
     rings : bool
-        Whether it goes through its final value more than once before it settles.
+        Whether it goes through its final value more than once before it settles, or goes on doing so; of one
+        that does not settle: whether it is not just on its way yet.
     creeps : bool
         Whether it has settled as far as one sees, but a slower mode seems to begin.
     half_time : float
         When it has first covered half of its largest magnitude [s].
+    quarter_time : float
+        When it has first covered a quarter of its way [s], of one that settles.
     held : float
         For how long the output keeps its value between one jump and the next [s]; 0 if it does not.
     """
@@ -89,6 +94,7 @@ class Response:
     rings: bool = False
     creeps: bool = False
     half_time: float = np.inf
+    quarter_time: float = np.inf
     held: float = 0.0
 
     @property
@@ -121,12 +127,35 @@ def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
     level : float
         Magnitude of the output itself: small deviations count in relation to it.
     """
+    deviation = without_spike(deviation)
     peak = float(np.max(np.abs(deviation), initial=0.0))
     if not peak > FLOOR * level:
         return Response(ResponseType.INSENSITIVE)
     held = held_time(time, deviation)
     half_time = float(time[np.argmax(np.abs(deviation) >= peak / 2)])
     return replace(_classify(time, deviation, peak, held), held=held, half_time=half_time)
+
+
+def without_spike(values: FloatArray) -> FloatArray:
+    """Return values whose first samples are those after them, where they stand out from all that follow.
+
+    It is what an initialisation or a derivative leaves, and would hide what takes time.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        As for :func:`classify`.
+    """
+    if len(values) < 2 * BLOCK:
+        return values
+    first, rest = values[:_SPIKE], values[_SPIKE:]
+    middle = (rest.max() + rest.min()) / 2
+    span = float(np.ptp(rest))
+    if not span > _BAND * float(np.ptp(values)) / 10 or np.max(np.abs(first - middle)) <= span:
+        return values
+    clean = values.copy()
+    clean[:_SPIKE] = rest[0]
+    return clean
 
 
 def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float) -> Response:
@@ -138,9 +167,13 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         rise = _first_reached(time, deviation, final if abs(final) > _BAND * peak else peak)
         sides = np.sign(deviation[moving] - final)
         rings = bool(np.count_nonzero(np.diff(sides)) > 1)
+        if rings and peak > _MOSTLY_SWING * abs(final):  # its way is the first swing, not where it ends
+            rise = _first_reached(time, deviation, peak)
         creeps = _creeps(deviation, peak)
         dead = float(time[np.argmax(np.abs(deviation) > _BAND * peak)])
-        return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
+        response = Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
+        covered = deviation * np.sign(final) >= abs(final) / 4
+        return replace(response, quarter_time=float(time[np.argmax(covered)]))
     slope = _common_slope(time, deviation)
     if slope:
         lag = _lag(time, deviation, slope, held)
@@ -152,7 +185,9 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         doubling = _doubling_time(time, deviation)
         early = float(deviation[np.argmax(time >= min(_DOUBLINGS * doubling, time[-1]))])
         return Response(ResponseType.ACCELERATING, early, 0.0, doubling, np.inf, peak)
-    return Response(ResponseType.OSCILLATING, final, 0.0, _first_reached(time, deviation, peak), np.inf, peak)
+    rise = _first_reached(time, deviation, peak)
+    turns = np.count_nonzero(np.diff(np.sign(deviation[-2 * BLOCK :] - final)))
+    return Response(ResponseType.OSCILLATING, final, 0.0, rise, np.inf, peak, rings=bool(turns > 1))
 
 
 def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:

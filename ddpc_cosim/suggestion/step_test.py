@@ -1,14 +1,16 @@
 """Steps of a plant's inputs, one by one, from where it rests: for as long and as closely as it takes."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from time import monotonic
+from itertools import chain
 
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.suggestion.pace import monotonic
+from ddpc_cosim.suggestion.periods import Period
 from ddpc_cosim.suggestion.response_types import (
     BLOCK,
     FLOOR,
@@ -39,6 +41,7 @@ _STEPS_TIMED = 3
 _STEPS_COMPARED = 40
 _STOPPED = 2.0  # of what an output has reached: how far its slope would have taken it
 _PART_FOR_LONGER = 0.5  # of the time that is left
+_PART_BEYOND, _BLOCKS_BEYOND = 0.1, 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,9 @@ class Timing:
         Communication step size of the first block [s].
     longest : float
         Where to stop looking for responses [s].
+    beyond : float
+        For how long what seems to integrate for as long as that is looked at once more [s]: a tool's default
+        experiment of one second says nothing of a house.
     fixed : bool
         Whether all communication steps must have this size.
     blocks : int
@@ -86,6 +92,7 @@ class Timing:
     blocks: int = 12
     budget: float = 30.0
     guess: float = 10.0
+    beyond: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,10 @@ class StepTest:
         Outputs and inputs whose response is as soon there and as large after a thousandth of the step.
     resolution : float
         What happens within this time cannot be distinguished from what happens at once [s].
+    period : Period
+        In what outputs do while the inputs rest.
+    rates : frozenset of int
+        Unstable outputs that are the derivatives of others.
     """
 
     time: FloatArray
@@ -131,6 +142,8 @@ class StepTest:
     unstable: frozenset[int] = field(default_factory=frozenset)
     switched: frozenset[tuple[int, int]] = field(default_factory=frozenset)
     resolution: float = 0.0
+    period: Period = field(default_factory=Period)
+    rates: frozenset[int] = field(default_factory=frozenset)
 
     def is_immediate(self, response: Response) -> bool:
         """Whether a response is over within the first samples: direct feedthrough, as far as one sees."""
@@ -216,6 +229,35 @@ def dependence_on_step_size(plant: Plant, resting: Resting, tested: StepTest, st
     level = np.max(np.abs(halves), axis=0)
     counts = movement > FLOOR * level
     return float(np.max(difference[counts] / movement[counts], initial=0.0))
+
+
+def runs_with(
+    plant: Plant, resting: Resting, tested: StepTest, inputs: FloatArray, timing: Timing
+) -> Iterator[FloatArray | None]:
+    """Yield the outputs while inputs are held, one run for each row, at the times of a step test.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant; it is reset for every run.
+    resting, tested
+        Its operating point, and the step test.
+    inputs : array, shape (runs, m)
+        The inputs.
+    timing : Timing
+        How steps are, and for how long all runs may take.
+
+    Yields
+    ------
+    y : array, shape (n, p), or None
+        Fewer rows than the step test at rest has where the plant fails; None: there was no time for it.
+    """
+    paced = _Paced(plant, monotonic() + timing.budget)
+    grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
+    for k, u in enumerate(inputs):
+        paced.share(len(inputs) - k, 1.0)
+        y, _ = grid.run(paced, u, resting.parameters)
+        yield None if paced.ran_out else y[: len(tested.rest)]
 
 
 class _NotInTimeError(CosimError):
@@ -367,7 +409,7 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
             tested, steps = replace(larger, fault=fault), larger.steps
     while not (tested.fault or _is_clear(tested)):
         if tested.time[-1] >= timing.longest or blocks >= _BLOCKS_MOST:
-            return tested
+            return _beyond(plant, resting, steps, timing, tested)
         blocks += _BLOCKS_MORE
         grid = _Grid(timing.step, blocks, timing.fixed)
         if grid.communication_steps > _MOST_STEPS or not plant.may_repeat:
@@ -380,6 +422,28 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
             return replace(tested, stopped=True)
         tested = longer
     return tested
+
+
+def _beyond(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing, tested: StepTest) -> StepTest:
+    """Return a far longer test if in that what seems to integrate settles; else the one that there is."""
+    is_underway = any(map(_is_underway, chain(*tested.responses)))
+    if timing.fixed or timing.beyond <= tested.time[-1] or not is_underway or not plant.may_repeat:
+        return tested
+    step = timing.beyond / (BLOCK * 2.0**_BLOCKS_BEYOND)
+    try:
+        far, _ = _run_all(plant, resting, steps, _Grid(step, _BLOCKS_BEYOND, fixed=False), _PART_BEYOND)
+    except CosimError:  # it was not made to run so long
+        return tested
+    pairs = zip(chain(*tested.responses), chain(*far.responses), strict=True)
+    settles = all(after.type is ResponseType.SETTLED for before, after in pairs if _is_underway(before))
+    return far if settles and not far.fault and not plant.ran_out and _is_clear(far) else tested
+
+
+def _is_underway(response: Response) -> bool:
+    """Return whether a response may be the beginning of a far slower one."""
+    if response.type is ResponseType.OSCILLATING:
+        return not response.rings
+    return response.type is ResponseType.INTEGRATING and not response.rise_time > 0.0
 
 
 def _is_clear(tested: StepTest) -> bool:

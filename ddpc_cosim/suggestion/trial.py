@@ -2,12 +2,12 @@
 
 import math
 import re
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.suggestion.design import clean, rounded
+from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.writing import Proposal
 from ddpc_cosim.variables import Variable
 
@@ -41,12 +42,23 @@ _KEPT_FREE = 0.1  # of the span that was reached, at either end of it
 _SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
 _STUCK = 0.2  # of that end with an input at its limits: from there on the input cannot do more
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
+_REACHED = 0.05  # of the span: how far off what counts as reached may be
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
 _NOT_BEGUN = "not begun"
 _OTHERWISE = 0.5  # of what an output has moved: what it is off where its step responses say it should be
 _NOT_FOUND = "not found; inputs are within their limits, and outputs go where the step test says they should"
 _LIMIT = re.compile("max|min|lim|sat|upper|lower|bound|range", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Limit:
+    """A level that an output does not pass, 1 upwards or -1 downwards, in words."""
+
+    output: str
+    level: float
+    sign: int
+    words: str
 
 
 class _TimeUpError(Exception):
@@ -61,7 +73,7 @@ class _Attempt:
     cases: tuple[CaseResult, ...] = ()
     preview: int = 0
     line: str = ""
-    limits: list[str] = field(default_factory=list)
+    limits: "list[_Limit]" = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
     dropped: dict[str, str] = field(default_factory=dict)
     untried: dict[str, str] = field(default_factory=dict)
@@ -103,7 +115,8 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     proposal : Proposal
         The study.
     deadline : float
-        When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
+        When to stop, also in the middle of a run, on the clock of ``time.monotonic`` if nothing else has the
+        processors: what is left until then is time for computing.
     tell : callable
         Called with what is being done.
     sandboxed : bool
@@ -114,6 +127,7 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
     CosimError
         No controller runs to the end, and why.
     """
+    deadline = monotonic() + deadline - time.monotonic()
     attempts: list[_Attempt] = []
     gentler, number = _gentler_ones(proposal), 0
     faults: dict[str, str] = {}
@@ -136,7 +150,13 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
         if not attempts:
             what = f"{proposal.study.plant.label}: no controller that was tried runs to the end"
             raise CosimError(f"{what}: {'; '.join(dict.fromkeys(faults.values()))}")
-        return _with_outcome(attempts)
+        best = min(attempts, key=lambda attempt: attempt.best)
+        reached, cut = _reached_only(best, [limit for attempt in attempts for limit in attempt.limits])
+        if cut:  # what is said of it is to be of what is proposed
+            attempt = _attempt(reached, folder / "cut", deadline, tell, sandboxed=sandboxed)
+            best = attempt if attempt.cases else replace(best, proposal=reached)
+            attempts.append(best)
+        return _with_outcome(attempts, best, cut)
 
 
 def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool) -> _Attempt:
@@ -359,7 +379,7 @@ def _moved(proposal: Proposal, spans: Mapping[str, tuple[float, float]]) -> Prop
     return proposal.changed(reference={**reference})
 
 
-def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[str]:
+def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[_Limit]:
     """Name the levels that an output does not pass, and the parameters that have such a value."""
     for j, output in enumerate(trace.outputs):
         y = trace.y[:, j]
@@ -376,14 +396,14 @@ def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[
                 # Many parameters are 1: of several, those count that are called a limit.
                 named = equal if len(equal) == 1 else [text for text in equal if _LIMIT.search(text)]
                 why = f" (parameter {', '.join(named[:_LISTED])})" if named else ""
-                yield f"{output.name} does not go {side} {level:.4g}{why}"
+                words = f"{output.name} does not go {side} {level:.4g}{why}"
+                yield _Limit(output.name, level, 1 if side == "above" else -1, words)
 
 
-def _with_outcome(attempts: Sequence[_Attempt]) -> Proposal:
+def _with_outcome(attempts: Sequence[_Attempt], best: _Attempt, cut: Sequence[str]) -> Proposal:
     """Return the best of what was tried, with what came of it in its comments."""
-    best = min(attempts, key=lambda attempt: attempt.best)
     proposal = best.proposal
-    limits = dict.fromkeys(limit for attempt in attempts for limit in attempt.limits)
+    limits = dict.fromkeys(limit.words for attempt in attempts for limit in attempt.limits)
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely:
         likely = best.surprises or (
@@ -413,12 +433,43 @@ def _with_outcome(attempts: Sequence[_Attempt]) -> Proposal:
             "Changed after a trial to what the best controller reached.",
             *(f"{limit}." for limit in limits),
         ]
+    on_reference += [f"{name}: cut to what a trial reached." for name in cut]
     comments = {name: [*texts] for name, texts in proposal.comments.items()}
     for name, texts in (("head", head), ("reference", on_reference), ("controllers", on_controllers)):
         comments[name] = [*comments.get(name, ()), *filter(None, texts)]
     report = ReportSection(limitations=[f"{WHY}{'; '.join(likely)}"] if likely else [])
     by_section = {name: tuple(texts) for name, texts in comments.items()}
     return replace(proposal.changed(report=report), comments=by_section)
+
+
+def _reached_only(best: _Attempt, limits: Sequence[_Limit]) -> tuple[Proposal, list[str]]:
+    """Return the proposal without setpoints that no trial reached, or that a limit forbids, and whose.
+
+    Where every controller fails, what they reach says nothing.
+    """
+    proposal, spans = best.proposal, {}
+    if not best.cases:
+        return proposal, []
+    trace, failed = best.best_trace(), bool(all_failed(best.cases))
+    for j, output in enumerate(trace.outputs):
+        name, y = output.name, trace.y[:, j]
+        if name in proposal.asked.ranges or not (steps := proposal.setpoints.get(name)):
+            continue
+        wanted = min(steps.values), max(steps.values)
+        near = _REACHED * (wanted[1] - wanted[0])
+        ends = [
+            [limit.level for limit in limits if limit.output == name and limit.sign == sign]
+            for sign in (-1, 1)
+        ]
+        low = max([-math.inf if failed else float(np.nanmin(y)) - near, *ends[0]])
+        high = min([math.inf if failed else float(np.nanmax(y)) + near, *ends[1]])
+        low, high = max(low, wanted[0] - near), min(high, wanted[1] + near)
+        free = _KEPT_FREE * (high - low)
+        if low < high and (low > wanted[0] or high < wanted[1]):
+            span = max(wanted[0], low + free), min(wanted[1], high - free)
+            spans[name] = span if span[0] < span[1] else (low + free, high - free)
+    spans = {name: span for name, span in spans.items() if span[0] < span[1]}
+    return _moved(proposal, spans), [*spans]
 
 
 def _best_words(attempt: _Attempt) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import tomli_w
 
 from ddpc_cosim.codec import write_in_short
-from ddpc_cosim.errors import Place
+from ddpc_cosim.errors import CosimError, Place
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.signals.signals import Steps
 from ddpc_cosim.study.file_format.sections import Study
@@ -96,6 +96,11 @@ def study_text(proposal: Proposal, *fmus: str) -> str:
         What to write.
     *fmus : str
         Path of the FMU, or of each part's, as the file is to say it.
+
+    Raises
+    ------
+    CosimError
+        A number is not finite.
     """
     study = proposal.study
     if study.plant.parts:
@@ -106,6 +111,11 @@ def study_text(proposal: Proposal, *fmus: str) -> str:
         plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)
     said = {"title": study.title, "seeds": study.seeds}
     tables = said | write_in_short(replace(study, plant=plant))
+    if unknown := [*_not_finite(tables)]:
+        raise CosimError(
+            f"{study.plant.label}: {', '.join(unknown)} could not be identified and would not be a number; "
+            "raise --budget, or choose other signals with --input and --output"
+        )
     above: dict[Place, Sequence[str]] = {(key,): texts for key, texts in proposal.comments.items()}
     above[()] = above.pop(("head",), ())
     above |= {place: (text,) for place, text in _OF_TABLES.items()}
@@ -115,6 +125,18 @@ def study_text(proposal: Proposal, *fmus: str) -> str:
         if section.type in WHY_SETTINGS
     }
     return commented_toml(tables, above, _remarks(proposal))
+
+
+def _not_finite(value: Any, place: str = "") -> Iterator[str]:
+    """Yield the places of what is not a finite number."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _not_finite(item, f"{place}.{key}" if place else str(key))
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        for i, item in enumerate(value):
+            yield from _not_finite(item, f"{place}[{i}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield place
 
 
 def _remarks(proposal: Proposal) -> dict[Place, str]:
@@ -336,6 +358,13 @@ def _on_setpoints(about: Circumstances) -> Iterator[str]:
         yield "To stay where it begins, then a small step: an unstable plant has to be stabilised first."
         return
     yield "Changes that the inputs can hold with about a third of their ranges, from where the plant rests."
+    period = about.tested.period
+    if period.means:
+        names = listed([about.outputs[j].name for j in period.means], _LISTED, "outputs")
+        yield (
+            f"{names} repeats every {period.words} while the inputs rest: the setpoints are around its mean; "
+            "they are held, and the experiment lasts, for whole periods, where these are not too long."
+        )
     moving = [about.outputs[j].name for j in about.choice.outputs if drifting(about.tested)[j]]
     if moving:
         which = listed(moving, _LISTED, "outputs")

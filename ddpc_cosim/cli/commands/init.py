@@ -10,6 +10,8 @@ from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimWarning
 
+_TABLES = (".csv", ".txt")
+
 
 @command
 def init(
@@ -20,13 +22,15 @@ def init(
     ),
     outputs: tuple[str, ...] = option((), "Control this; may be repeated.", name="--output", metavar="NAME"),
     at: tuple[str, ...] = option(
-        (), "Level of an input, or a parameter; may be repeated.", metavar="NAME=VALUE"
+        (),
+        "Level of an input, or a parameter, or a file of them; may be repeated.",
+        metavar="NAME=VALUE|FILE.csv",
     ),
     ranges: tuple[str, ...] = option(
         (),
         "How far an input may go, or an output's setpoints; may be repeated.",
         name="--range",
-        metavar="NAME=LO:HI",
+        metavar="NAME=LO:HI[ UNIT]",
     ),
     sampling_time: float | None = option(None, "Of the loop, in s [what the step test shows]."),
     duration: float | None = option(None, "Of the loop, in s [what the step test shows]."),
@@ -34,14 +38,17 @@ def init(
     step_timeout: float = options.STEP_TIMEOUT,
     budget: float = option(
         60.0,
-        "Seconds for step test and trial; what is not tried in them is told.",
+        "Seconds of CPU time for step test and trial; what is not tried in them is told.",
         type=options.POSITIVE,
         show_default=True,
     ),
     sandbox: bool = options.SANDBOX,
 ) -> int:
     """Write a study for an FMU, an SSP, or FMUs that it connects, with controllers that were tried on it."""
-    levels = assignments("--at", at, _number_or_text)
+    from ddpc_cosim.suggestion.values import number_or_text
+
+    files = [Path(text) for text in at if "=" not in text and text.lower().endswith(_TABLES)]
+    levels = assignments("--at", [text for text in at if Path(text) not in files], number_or_text)
     limits = assignments("--range", ranges, _limits)
     if out.exists() and not force:  # before the step test, which may take a while
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
@@ -53,7 +60,7 @@ def init(
             fmus,
             inputs=list(inputs) or None,
             outputs=list(outputs) or None,
-            at=levels,
+            at=[*files, levels],
             ranges=limits,
             sampling_time=sampling_time,
             duration=duration,
@@ -71,15 +78,9 @@ def init(
     return 0
 
 
-def _number_or_text(text: str) -> float | str:
-    """Return a text as a number if it is one."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def _limits(text: str) -> Any:
-    """Return a range as two numbers; anything else unchanged, to be refused together with other faults."""
-    parts = [_number_or_text(part) for part in text.split(":")]
+    """Return a range as two numbers; one in a unit, or to be refused with other faults, unchanged."""
+    from ddpc_cosim.suggestion.values import number_or_text
+
+    parts = [number_or_text(part) for part in text.split(":")]
     return tuple(parts) if len(parts) == 2 and not any(isinstance(part, str) for part in parts) else text

@@ -1,13 +1,16 @@
 """The step test of a slow plant fits its time: fewer samples of the same responses, and no run beyond it."""
 
+import subprocess
 import sys
 from collections.abc import Mapping
+from time import monotonic
 
 import numpy as np
 import pytest
 
 from ddpc_cosim import CosimError, Plant
 from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.suggestion import pace
 from ddpc_cosim.suggestion.choice import choose
 from ddpc_cosim.suggestion.design import first_gains
 from ddpc_cosim.suggestion.response_types import ResponseType
@@ -99,3 +102,39 @@ def test_a_step_that_was_cut_short_has_not_been_identified(
     """Steps 4 to 291 are those at rest; those after it make the first block of the response."""
     with pytest.raises(CosimError, match="not identified in time: the response to a step of u; raise --budg"):
         run(Stalling(stalls_at), monkeypatch, budget=30.0, blocks=12)
+
+
+BUSY = """
+import time
+while time.process_time() < 0.3:
+    pass
+"""
+
+
+def test_the_clock_runs_with_what_is_computed_in_other_processes_too() -> None:
+    begin, on_the_wall = pace.monotonic(), monotonic()
+    with subprocess.Popen([sys.executable, "-c", BUSY]) as busy:
+        while busy.poll() is None:
+            before = pace.monotonic()
+            assert pace.monotonic() >= before
+    assert 0.25 <= pace.monotonic() - begin <= monotonic() - on_the_wall
+
+
+def test_others_that_have_the_processors_do_not_make_it_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 s on the wall, of which this process has computed 1 s and waited 98 s for its turn."""
+    wall, cpu, waited = 0.0, 0.0, 0.0
+    monkeypatch.setattr(pace.time, "monotonic", lambda: wall)
+    monkeypatch.setattr(pace.time, "process_time", lambda: cpu)
+    monkeypatch.setattr(pace, "_delay", lambda _: waited)
+    monkeypatch.setattr(pace, "_IS_KNOWN", True)
+    monkeypatch.setattr(pace, "children", lambda _: set())
+    clock = pace.ComputingClock()
+    begin = clock()
+    for _ in range(100):
+        wall, cpu, waited = wall + 1.0, cpu + 0.01, waited + 0.98
+        now = clock()
+    assert 1.0 <= now - begin <= 5.0
+    for _ in range(100):  # now it sleeps: what it waits for counts
+        wall += 1.0
+        later = clock()
+    assert later - now >= 95.0

@@ -14,6 +14,7 @@ from ddpc_cosim import FMUStepError, Plant, Variable
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
+from ddpc_cosim.suggestion.rates import rates_among
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
@@ -132,6 +133,13 @@ def test_an_oscillation_has_ten_samples_per_period_and_time_to_settle(
     assert 2 * np.pi / frequency / sample >= 10
     assert duration >= 2 * choice.time_scale
     assert choice.time_scale == pytest.approx(np.log(20) / (damping * frequency), rel=0.3)
+
+
+def test_what_swings_by_many_times_where_it_ends_is_sampled_by_its_swing() -> None:
+    """A pressure that builds up at once and swings at 150 rad/s by ten times what is left of it."""
+    plant = Linear([[0, 1], [-(150.0**2), -15.0]], [150.0, 0.1 * 150.0**2], [1, 0])
+    _, _, sample, _ = proposed(plant, OPEN)
+    assert 10 <= 2 * np.pi / 150.0 / sample <= 60
 
 
 def test_a_slow_output_beside_a_fast_one_reaches_its_setpoints() -> None:
@@ -305,3 +313,77 @@ def test_a_larger_step_that_ends_early_is_told() -> None:
     assert tested.fault == "beyond its stroke"
     assert tested.steps.tolist() == [0.5, 0.1]
     assert tested.responses[0][1].type is ResponseType.SETTLED
+
+
+class Kicked(Linear):
+    """The same, with an output that is far away at the first samples: after a step, or at rest as well."""
+
+    by, at_rest = 10.0, False
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        y = super().step(u, h)
+        is_first = self.t < 2.5e-4
+        return y + self.by * is_first * (1.0 if self.at_rest else u[: len(y)])
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+@pytest.mark.parametrize("constant", [1.0, 600.0])
+def test_a_spike_at_the_first_samples_hides_nothing(constant: float, at_rest: bool) -> None:
+    plant = Kicked(-1 / constant, 1 / constant, 1)
+    plant.at_rest = at_rest
+    _, choice, sample, _ = proposed(plant, OPEN)
+    assert not choice.guessed
+    assert 4.99 <= constant / sample <= 30.01
+
+
+def test_what_takes_longer_than_a_tool_s_default_second_is_looked_at_for_days() -> None:
+    """A house of 11 h in an experiment of 1 s is an integrator as far as one sees."""
+    house = Linear(-1 / 4e4, 1 / 4e4, 1)
+    timing = Timing(1e-5, longest=10.0, guess=0.06, beyond=1e6)
+    _, choice, sample, _ = proposed(house, timing)
+    assert not choice.guessed
+    assert 5 <= 4e4 / sample <= 30
+
+
+def test_an_integrator_is_one_for_days_and_keeps_its_guess() -> None:
+    tested, choice, sample, _ = proposed(Linear(0, 1, 1), Timing(1e-5, longest=10.0, guess=6.0, beyond=1e6))
+    assert choice.guessed
+    assert sample == pytest.approx(0.2)
+    assert tested.time[-1] < 1e4
+
+
+def test_the_time_scale_is_that_of_what_is_controlled() -> None:
+    """An output that the inputs hardly move beside others, and that is a hundred times as slow."""
+    plant = Linear(np.diag([-1.0, -0.01]), [[1.0], [0.01]], np.eye(2))
+    _, choice, sample, _ = proposed(plant, OPEN)
+    assert choice.outputs == (0,)
+    assert 1.0 / sample >= 5
+
+
+def test_a_third_that_is_a_seventeenth_as_slow_is_sampled_too() -> None:
+    """Air and walls of a house, 3.5 h and 60 h: a loop of a room does not wait for its walls."""
+    fast, slow = 3.5 * 3600, 60 * 3600
+    house = Linear(np.diag([-1 / fast, -1 / slow]), [1 / (3 * fast), 2 / (3 * slow)], [1.0, 1.0])
+    _, choice, sample, _ = proposed(house, Timing(1e-4, longest=1e5, beyond=1e6))
+    assert fast / 10 / 3 <= sample <= fast / 10 * 5
+    assert choice.time_scale == pytest.approx(slow * np.log(2 / 3 / 0.05), rel=0.2)
+
+
+def rates(plant: Linear) -> frozenset[int]:
+    resting = Resting(np.zeros(1), np.ones(1))
+    return rates_among(plant, resting, step_test(plant, resting, OPEN), None)
+
+
+def test_of_what_falls_over_the_rate_is_told_from_the_angle() -> None:
+    """omega' = 9 phi + u; in degrees per second and radians the units tell it."""
+    assert rates(Linear([[0, 9], [1, 0]], [1, 0], np.eye(2))) == {0}
+    assert rates(Linear([[0, 9], [1, 0]], [1, 0], [[0, 1], [1, 0]])) == {1}
+    mixed = Linear([[0, 9], [1, 0]], [1, 0], np.diag([180 / np.pi, 1.0]))
+    assert rates(mixed) == frozenset()
+    mixed.outputs = Variable("a", "deg/s"), Variable("b", "rad")
+    assert rates(mixed) == {0}
+
+
+def test_outputs_that_run_away_side_by_side_are_no_rates_of_each_other() -> None:
+    assert rates(Linear(np.diag([3.0, 2.0]), [1, 1], np.eye(2))) == frozenset()
+    assert rates(Linear(3.0, 1, [1.0, 2.0])) == frozenset()
