@@ -74,12 +74,10 @@ def period_of(values: FloatArray) -> float:
     if best > _SAME:
         return 0.0
     lag = next(lag for lag, depth in minima if depth <= max(_SAME / 2, _AS_GOOD * best))
-    count = 1
-    while (count + 1) * lag < len(away):  # of several periods a sample is a smaller part
-        count += 1
+    for count in range(2, int(len(away) / lag)):  # of several periods a sample is a smaller part
         near = round(count * lag) - 1
         low, high = max(near - 2, 0), min(near + 3, len(away))
-        lag = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count
+        lag = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count if low < high else lag
     return lag
 
 
