@@ -17,6 +17,7 @@ _SETTLED = 3  # the last two of three parts count: what is before them may be a 
 _DIFFERENT, _SAME = 0.5, 0.12  # of what values of that spread differ by on average if nothing repeats
 _AS_GOOD = 1.5
 _ROUNDING = 1e-9
+_WANDERS = 0.2  # of a swing: how far means may be apart
 _NICE = (3600.0, 43200.0, 86400.0, 604800.0)  # s
 _NEAR = 0.02
 _MOST_STEPS = 3000
@@ -93,6 +94,13 @@ def _minimum(away: FloatArray, at: int) -> tuple[float, float]:
     return at + 1 + (left - right) / (2 * bend), math.sqrt(depth)
 
 
+def _stays(values: FloatArray, lag: float) -> bool:
+    """Return whether values come back to where they were, and do not wander off while they swing."""
+    count = round(lag)
+    first, last = values[:count], values[-count:]
+    return abs(float(last.mean() - first.mean())) <= _WANDERS * float(np.ptp(first))
+
+
 def rounded_period(seconds: float) -> float:
     """Return a period as people have them: an hour, a day, a week; else with four digits."""
     near = [nice for nice in _NICE if abs(seconds / nice - 1.0) < _NEAR]
@@ -152,7 +160,7 @@ def found_at_rest(
         values = np.array(rows)[SAMPLES // _SETTLED :]
         if not np.isfinite(values).all():
             continue
-        lags = {j: lag for j in swings if (lag := period_of(values[:, j]))}
+        lags = {j: lag for j in swings if (lag := period_of(values[:, j])) and _stays(values[:, j], lag)}
         if lags and max(lags.values()) * step > longest.seconds:
             lag = max(lags.values())
             whole = values[-int(len(values) // lag * lag) :]
