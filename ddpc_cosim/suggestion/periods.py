@@ -75,10 +75,12 @@ def period_of(values: FloatArray) -> float:
     if best > _SAME:
         return 0.0
     lag = next(lag for lag, depth in minima if depth <= max(_SAME / 2, _AS_GOOD * best))
-    for count in range(2, int(len(away) / lag)):  # of several periods a sample is a smaller part
+    coarse = lag
+    for count in range(2, int(len(away) / coarse)):  # of several periods a sample is a smaller part
         near = round(count * lag) - 1
         low, high = max(near - 2, 0), min(near + 3, len(away))
-        lag = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count if low < high else lag
+        finer = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count if low < high else lag
+        lag = finer if abs(finer - coarse) <= _NEAR * coarse else lag
     return lag
 
 
@@ -96,7 +98,7 @@ def _minimum(away: FloatArray, at: int) -> tuple[float, float]:
 
 def _stays(values: FloatArray, lag: float) -> bool:
     """Return whether values come back to where they were, and do not wander off while they swing."""
-    count = round(lag)
+    count = max(2, round(lag))
     first, last = values[:count], values[-count:]
     return abs(float(last.mean() - first.mean())) <= _WANDERS * float(np.ptp(first))
 
