@@ -17,6 +17,7 @@ _SETTLED = 3  # the last two of three parts count: what is before them may be a 
 _DIFFERENT, _SAME = 0.5, 0.12  # of what values of that spread differ by on average if nothing repeats
 _AS_GOOD = 1.5
 _ROUNDING = 1e-9
+_WANDERS = 0.2  # of a swing: how far means may be apart
 _NICE = (3600.0, 43200.0, 86400.0, 604800.0)  # s
 _NEAR = 0.02
 _MOST_STEPS = 3000
@@ -74,12 +75,12 @@ def period_of(values: FloatArray) -> float:
     if best > _SAME:
         return 0.0
     lag = next(lag for lag, depth in minima if depth <= max(_SAME / 2, _AS_GOOD * best))
-    count = 1
-    while (count + 1) * lag < len(away):  # of several periods a sample is a smaller part
-        count += 1
+    coarse = lag
+    for count in range(2, int(len(away) / coarse)):  # of several periods a sample is a smaller part
         near = round(count * lag) - 1
         low, high = max(near - 2, 0), min(near + 3, len(away))
-        lag = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count
+        finer = _minimum(away, low + int(np.argmin(away[low:high])))[0] / count if low < high else lag
+        lag = finer if abs(finer - coarse) <= _NEAR * coarse else lag
     return lag
 
 
@@ -93,6 +94,13 @@ def _minimum(away: FloatArray, at: int) -> tuple[float, float]:
         return float(at + 1), math.sqrt(middle)
     depth = max(middle - (left - right) ** 2 / (8 * bend), 0.0)
     return at + 1 + (left - right) / (2 * bend), math.sqrt(depth)
+
+
+def _stays(values: FloatArray, lag: float) -> bool:
+    """Return whether values come back to where they were, and do not wander off while they swing."""
+    count = max(2, round(lag))
+    first, last = values[:count], values[-count:]
+    return abs(float(last.mean() - first.mean())) <= _WANDERS * float(np.ptp(first))
 
 
 def rounded_period(seconds: float) -> float:
@@ -154,7 +162,7 @@ def found_at_rest(
         values = np.array(rows)[SAMPLES // _SETTLED :]
         if not np.isfinite(values).all():
             continue
-        lags = {j: lag for j in swings if (lag := period_of(values[:, j]))}
+        lags = {j: lag for j in swings if (lag := period_of(values[:, j])) and _stays(values[:, j], lag)}
         if lags and max(lags.values()) * step > longest.seconds:
             lag = max(lags.values())
             whole = values[-int(len(values) // lag * lag) :]

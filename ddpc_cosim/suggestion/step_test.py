@@ -42,6 +42,7 @@ _STEPS_COMPARED = 40
 _STOPPED = 2.0  # of what an output has reached: how far its slope would have taken it
 _PART_FOR_LONGER = 0.5  # of the time that is left
 _PART_BEYOND, _BLOCKS_BEYOND = 0.1, 14
+_LONG_STEP = 0.1  # s of computing
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,6 +431,8 @@ def _beyond(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing, 
     if timing.fixed or timing.beyond <= tested.time[-1] or not is_underway or not plant.may_repeat:
         return tested
     step = timing.beyond / (BLOCK * 2.0**_BLOCKS_BEYOND)
+    if not _is_quick(plant, resting, float(tested.time[-1]), timing.beyond):
+        return tested
     try:
         far, _ = _run_all(plant, resting, steps, _Grid(step, _BLOCKS_BEYOND, fixed=False), _PART_BEYOND)
     except CosimError:  # it was not made to run so long
@@ -437,6 +440,22 @@ def _beyond(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing, 
     pairs = zip(chain(*tested.responses), chain(*far.responses), strict=True)
     settles = all(after.type is ResponseType.SETTLED for before, after in pairs if _is_underway(before))
     return far if settles and not far.fault and not plant.ran_out and _is_clear(far) else tested
+
+
+def _is_quick(plant: _Paced, resting: Resting, step: float, end: float) -> bool:
+    """Return whether steps that become longer take no longer, as they do where a solver chooses its own."""
+    try:
+        plant.plan(step, 2.0 * end)
+        plant.reset(resting.parameters)
+        while step < end / 4:
+            began = monotonic()
+            plant.step(resting.u, step)
+            if monotonic() - began > _LONG_STEP:
+                return False
+            step *= 4
+    except CosimError:
+        return False
+    return True
 
 
 def _is_underway(response: Response) -> bool:
