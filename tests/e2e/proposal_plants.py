@@ -18,6 +18,8 @@ from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable
 
 DAY, HOUR = 86400.0, 3600.0
 GRAVITY = 9.81
+COMFORT = (283.15, 308.15)
+"""Where people stay in a room [K]."""
 Levels = Mapping[str, float]
 Range = tuple[float, float]
 
@@ -159,7 +161,7 @@ ZONE = Delivery(
         "T_zone_K": u["T_amb_K"] + (u["Pth_W"] + _GLASS * u["HGloHor_Wm2"]) / _THROUGH,
     },
     ends={"Pth_W": (0.0, 4500.0)},
-    plausible={"T_zone_K": (273.15, 313.15)},
+    plausible={"T_zone_K": COMFORT},
     constants=(float(time_constants(_ZONE_MATRIX)[0]), rise_time(_ZONE_MATRIX, [1.0, 0.0], [1.0, 0.0])),
 )
 
@@ -703,7 +705,7 @@ OVERRIDE = Delivery(
     disturbances=frozenset({"weaTDryBul"}),
     steady=lambda u: {"reaTRoo_y": u["weaTDryBul"] + _RADIATOR * u["oveHea_u"] / _ENVELOPE},
     ends={"oveHea_u": (0.0, 1.0)},
-    plausible={"reaTRoo_y": (273.15, 313.15)},
+    plausible={"reaTRoo_y": COMFORT},
     constants=one(_ROOM / _ENVELOPE),
 )
 
@@ -878,7 +880,7 @@ DAILY = Delivery(
     controlled=sets("TRoom_K"),
     steady=lambda u: {"TRoom_K": 280.0 + u["PHea_W"] / _LIGHT_LOSS},  # the mean of a day
     ends={"PHea_W": (0.0, 6000.0)},
-    plausible={"TRoom_K": (278.15, 313.15)},
+    plausible={"TRoom_K": COMFORT},
     constants=one(_LIGHT / _LIGHT_LOSS),
     period=DAY,
     told=("repeats every 24 h|repeats every 1 d",),
@@ -1185,7 +1187,7 @@ HEAT_PUMP = Delivery(
     disturbances=frozenset({"bus.TAmb"}),
     steady=lambda u: {"TLiv": u["bus.TAmb"] + 25.0 * u["hpu.u_set"]},
     ends={"hpu.u_set": (0.0, 1.0)},
-    plausible={"TLiv": (253.15, 333.15)},
+    plausible={"TLiv": COMFORT},
     levels={"bus.TAmb": (250.0, 320.0)},
     constants=one(5e6 / 200.0),
     told=(r"bus\.TAmb\W.{0,40}\b0 K",),
