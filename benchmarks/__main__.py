@@ -15,6 +15,7 @@ from benchmarks import (
     online,
     page,
     peers,
+    proposals,
     step,
 )
 
@@ -29,6 +30,7 @@ BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "online": online.main,
     "page": page.main,
     "peers": peers.main,
+    "proposals": proposals.main,
     "step": step.main,
 }
 
