@@ -82,6 +82,7 @@ def suggest_study(
     trial: bool = True,
     tell: Tell = lambda _: None,
     sandbox: bool = False,
+    library_path: Sequence[str | Path] = (),
 ) -> Proposal:
     """Run a step test of an FMU in a process of its own, suggest a study, and try it out.
 
@@ -111,6 +112,8 @@ def suggest_study(
         Called with what is being done.
     sandbox : bool
         Whether that process is in a sandbox.
+    library_path : sequence of str or Path
+        Libraries that the FMU needs, and folders of such, as of :class:`FMUPlant`; of one FMU alone.
 
     Raises
     ------
@@ -121,6 +124,9 @@ def suggest_study(
     """
     paths = [Path(path)] if isinstance(path, str | Path) else [Path(each) for each in path]
     path, label = paths[0], " + ".join(file.name for file in paths)
+    if library_path and (len(paths) > 1 or path.suffix.lower() == ".ssp"):
+        raise ConfigError(f"{label}: library_path is of one FMU, and this is a system of several")
+    libraries = [str(Path(library).resolve()) for library in library_path]
     joined = _joined(paths) if len(paths) > 1 else None
     with demanded(sandbox):
         system = System(joined.section, joined.experiment) if joined else _archive(path)
@@ -129,7 +135,7 @@ def suggest_study(
     deadline = monotonic() + budget
     tell(f"reading {label}")
     title = joined.title if joined else path.stem
-    description, steps, title = (system.description, None, title) if system else _runnable(path)
+    description, steps, title = (system.description, None, title) if system else _runnable(path, libraries)
     levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
     request = Request(levels, spans, sampling_time, duration, inputs, outputs)
     request.check(description, label, steps, faults)
@@ -143,7 +149,7 @@ def suggest_study(
 
     def open_plant(start: Mapping[str, float]) -> TestedPlant:
         """Open the plant, whose inputs the study is to drive, at levels of its inputs."""
-        return (system.open if system else partial(FMUPlant, path, isolated=True))(
+        return (system.open if system else partial(FMUPlant, path, isolated=True, library_path=libraries))(
             inputs=driven,
             outputs=read,
             start={**overrides, **start},
@@ -169,7 +175,9 @@ def suggest_study(
         )
     check_identified(label, point)
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
-    plant = system.section(sample) if system else PlantSection(fmu=str(path.resolve()))
+    plant = (
+        system.section(sample) if system else PlantSection(fmu=str(path.resolve()), library_path=libraries)
+    )
     plant = replace(plant, parameters=request.parameters(description))
     proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
     if trial:
@@ -209,11 +217,19 @@ def write_study(
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
     out.parent.mkdir(parents=True, exist_ok=True)
     fmus = [fmu] if isinstance(fmu, str | Path) else fmu
+    proposal = _beside(proposal, out.parent)
     text = study_text(proposal, *(_relative(Path(file), out.parent) for file in fmus))
     with out.open("w", encoding="utf-8", newline="\n") as file:
         file.write(text)
     read_study(str(out))
     return out
+
+
+def _beside(proposal: Proposal, folder: Path) -> Proposal:
+    """Return a proposal whose libraries are named relative to a folder."""
+    plant = proposal.study.plant
+    libraries = [_relative(Path(library), folder) for library in plant.library_path]
+    return proposal.changed(plant=replace(plant, library_path=libraries))
 
 
 def _relative(fmu: Path, folder: Path) -> str:
@@ -237,9 +253,9 @@ def _joined(paths: Sequence[Path]) -> Joined:
     return join(paths, [description for description, _, _ in runnable], " and ".join(dict.fromkeys(titles)))
 
 
-def _runnable(path: Path) -> tuple[PlantDescription, StepSizes, str]:
+def _runnable(path: Path, libraries: Sequence[str] = ()) -> tuple[PlantDescription, StepSizes, str]:
     """Return the description of an FMU that nothing is known to keep from running, its steps and its name."""
-    inspection = inspect_fmu(path)
+    inspection = inspect_fmu(path, library_path=libraries)
     if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
         raise FMUImportError(f"{path.name}: {'; '.join(errors)}")

@@ -43,6 +43,7 @@ def init(
         show_default=True,
     ),
     sandbox: bool = options.SANDBOX,
+    library_path: tuple[Path, ...] = options.LIBRARY_PATH,
 ) -> int:
     """Write a study for an FMU, an SSP, or FMUs that it connects, with controllers that were tried on it."""
     from ddpc_cosim.suggestion.values import number_or_text
@@ -68,6 +69,7 @@ def init(
             budget=budget,
             tell=progress,
             sandbox=sandbox,
+            library_path=library_path,
         )
         path = write_study(proposal, fmus, out, replace=force)
     driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))

@@ -1,6 +1,7 @@
 """Libraries that the FMU's library needs, on Linux, whose loader looks for them in the system alone."""
 
 import hashlib
+import tomllib
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -8,9 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from fmus.builder import HERE, LAG, describe, platform_folder, write_fmu
 
 from ddpc_cosim import Outcome, Study, simulate
+from ddpc_cosim.cli.main import main
 from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
@@ -193,6 +196,20 @@ def test_a_study_names_them_beside_itself(tmp_path: Path, chain: Chain, librarie
     assert f"{FIRST}: {hashlib.sha256(chain.first).hexdigest()}" in trace.provenance["fmu_libraries"]
     frame = simulate(tmp_path / "lag.fmu", stop=1.0, step=0.5, library_path=[libraries])
     assert len(frame) == 3
+
+
+def test_init_tries_the_fmu_with_them_and_names_them_in_the_study(
+    tmp_path: Path, chain: Chain, libraries: Path
+) -> None:
+    path, study = lag_fmu(tmp_path / "lag.fmu", chain.main), tmp_path / "studies" / "study.toml"
+    arguments = ["init", str(path), "--library-path", str(libraries), "--out", str(study)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.stderr
+    plant = tomllib.loads(study.read_text(encoding="utf-8"))["plant"]
+    assert plant["library_path"] == ["../libraries"]
+    both = CliRunner().invoke(main, ["init", str(path), *arguments[1:], "--force"])
+    assert both.exit_code == 2
+    assert "library_path is of one FMU, and this is a system of several" in both.stderr
 
 
 def test_an_inspection_tells_before_it_is_loaded(tmp_path: Path, chain: Chain) -> None:
