@@ -10,6 +10,7 @@ from ddpc_cosim.signals.signals import Constant, RandomLevels
 from ddpc_cosim.study.file_format.sections import RecordingSection
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.operating_point import TriedPoint
+from ddpc_cosim.suggestion.quantities import as_weather_goes
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.words import SURROUNDINGS, Wording
 
@@ -81,6 +82,7 @@ class Acting:
                 continue
             said.append(f"{variable.name} looks like a disturbance: {why}.")
             level, low, high = (float(values[i]) for values in (point.rest, working.low, working.high))
+            low, high = as_weather_goes(variable, level, low, high)
             known[variable.name] = KnownDisturbance(signal=Constant(level))
             resolution = (high - low) / 100
             moving[variable.name] = RandomLevels(

@@ -21,6 +21,7 @@ _NEGLIGIBLE = 1e-9
 _PLAUSIBLE = (250.0, 400.0)  # K
 _COMFORTABLE = (283.15, 308.15)  # K: of rooms, in which people live
 _IN_A_ROOM = 294.15  # K
+_WEATHER = 20.0  # K: what is outdoors goes so far from where it rests
 _LIVEABLE = (230.0, 340.0)  # K: where a room is that may be as it should be
 _ROOM = re.compile(
     r"\b(?:t?roo|zon)\b|room|zone|indoor|inside|interior|house|home|dwelling|office|building|flat|apartment"
@@ -82,6 +83,15 @@ def in_kelvin(variable: Variable, value: float) -> float:
     """Return a temperature above 0 K, in degrees of its unit; anything else as it is."""
     shown = _shown_in("K", variable.unit)
     return value - shown.offset if shown and not is_difference(variable) else value
+
+
+def as_weather_goes(variable: Variable, level: float, low: float, high: float) -> tuple[float, float]:
+    """Return limits of what acts from outside: a temperature goes no further from its level than weather."""
+    shown = _shown_in("K", variable.unit)
+    if shown is None or is_difference(variable):
+        return low, high
+    far = _WEATHER / (shown.to_unit(1.0) - shown.to_unit(0.0))
+    return max(low, level - far), min(high, level + far)
 
 
 def to_comfort(output: Variable, level: float) -> float:

@@ -11,7 +11,7 @@ import sympy
 
 from ddpc_cosim import CosimError
 from ddpc_cosim.suggestion import suggest_study, write_study
-from ddpc_cosim.suggestion.quantities import is_difference, plausible, usual_levels
+from ddpc_cosim.suggestion.quantities import as_weather_goes, is_difference, plausible, usual_levels
 from ddpc_cosim.suggestion.writing import Proposal, study_text
 from fmu_plants import Equations, PlantModel, Variable, build_fmu
 
@@ -215,3 +215,20 @@ def test_only_what_rests_at_0_is_moved_where_products_vanish(own_cache_folder: N
     duct = plant("duct", flow, (*valves, supply), lambda v: (v.valve * v.fan * v.tsup / 45 - v.y) / 5)
     proposal = suggest_study(build_fmu(duct), trial=False)
     assert proposal.study.plant.start == {"valve": 0.5, "fan": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("unit", "level", "guessed", "expected"),
+    [
+        ("K", 273.15, (213.0, 333.0), (253.15, 293.15)),
+        ("degC", 0.0, (-100.0, 100.0), (-20.0, 20.0)),
+        ("degF", 50.0, (-100.0, 200.0), (14.0, 86.0)),
+        ("K", 300.0, (295.0, 305.0), (295.0, 305.0)),
+        ("W/m2", 0.0, (0.0, 450.0), (0.0, 450.0)),
+        ("", 300.0, (0.0, 600.0), (0.0, 600.0)),
+    ],
+)
+def test_what_is_outdoors_moves_no_further_than_weather_does(
+    unit: str, level: float, guessed: tuple[float, float], expected: tuple[float, float]
+) -> None:
+    assert as_weather_goes(Variable("outdoor", unit), level, *guessed) == pytest.approx(expected)
