@@ -472,7 +472,8 @@ def test_inspect_and_init_take_an_override_as_one_input(room: Path) -> None:
         "TDryBul": None,
     }
     proposal = suggest_study(room, outputs=["reaTZon_y"], trial=False)
-    assert proposal.study.plant.inputs == ["oveHeat_u", "TDryBul"]
+    assert proposal.study.plant.inputs == ["oveHeat_u"]
+    assert {*(proposal.study.disturbances or {})} == {"TDryBul"}
     assert "oveHeat_activate" not in proposal.study.plant.start
     # The gain of what is driven, and not of what the room's own control leaves of it.
     assert proposal.gains[0, 0] == pytest.approx(1.0 / LOSS, rel=0.05)

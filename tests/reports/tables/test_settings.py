@@ -441,6 +441,7 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     }
     elsewhere = {
         *(("PlantSection", key) for key in ("fmu", "ssp")),  # in place of its name
+        ("PlantSection", "library_path"),  # of FMUs
         *(("ControllerSection", key) for key in ("search", "first_trials")),  # of what is tuned, not run
         *(("SearchSection", key) for key in declared_fields(SearchSection)),
         ("ReportSection", "reference_points"),  # in tests of shares
