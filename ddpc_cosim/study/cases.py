@@ -779,7 +779,8 @@ def cases_of_problem(
                 metrics=resolved.metrics,
                 late=resolved.late.get(controller, ""),
             )
-            named = [(seed, case.name_with(seed)) for seed in seeds or study.seeds]
+            run_with = list(seeds or study.seeds)[: 1 if section.seeds == "first" else None]
+            named = [(seed, case.name_with(seed)) for seed in run_with]
             chosen = [
                 (seed, called)
                 for seed, called in named

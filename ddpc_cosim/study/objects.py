@@ -72,6 +72,8 @@ class Entry:
         Settings that it tries next after those given.
     tuned : mapping of str to Any
         How its settings were found: the keys of the table ``tuned`` of a study file.
+    seeds : {"all", "first"}
+        With which of the study's seeds it is run; ``"first"``, the first alone, of a reference point only.
     """
 
     controller: Controller | str
@@ -81,6 +83,7 @@ class Entry:
     search: Mapping[str, Search | Literal[False]] = field(default_factory=dict)
     first_trials: Sequence[Mapping[str, Any]] = ()
     tuned: Mapping[str, Any] = field(default_factory=dict)
+    seeds: Literal["all", "first"] = "all"
 
     def table(self) -> Table:
         """Return the controller as a study file says it.

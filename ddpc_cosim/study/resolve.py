@@ -53,6 +53,7 @@ from ddpc_cosim.study.requirements import RequirementsCheck
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
+from ddpc_cosim.study.verdicts.shares import end_of
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, unit_shown
 
 _MOST_LISTED = 8
@@ -372,6 +373,13 @@ class _Resolution:
         if report.reference_points:
             for key in ("zero", "full"):
                 self._require_controllers(("report", "reference_points"), report.reference_points, key)
+        for name, section in self.study.controllers.items():
+            if section.seeds == "first" and end_of(name, report.reference_points) is None:
+                what = (
+                    '"first" is for a reference point, with which no other is compared in pairs of seeds; '
+                    "leave it out, or name the controller in report.reference_points"
+                )
+                self.errors.add(("controllers", name, "seeds"), what, ("report", "reference_points"))
 
     @independent
     def _check_claims(self) -> None:

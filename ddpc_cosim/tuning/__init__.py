@@ -523,7 +523,9 @@ def _with_given(
             limitations=study.report.limitations,
             reference_points=points if points and {points.zero, points.full} <= controllers.keys() else None,
         )
-        problems[problem] = replace(study, controllers=controllers, requirements=None, report=report)
+        # Given and found settings are compared in pairs of seeds.
+        paired = {name: replace(section, seeds="all") for name, section in controllers.items()}
+        problems[problem] = replace(study, controllers=paired, requirements=None, report=report)
     summary = (
         f"Settings as given against tuned ones, on seeds that played no part in it. {tuned.head.summary}"
     )

@@ -14,7 +14,7 @@ from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.verdicts.findings import ScenarioFindings
 from ddpc_cosim.study.verdicts.judgement import all_failed
-from ddpc_cosim.study.verdicts.shares import describe_shares, end_of, marked, shares_of
+from ddpc_cosim.study.verdicts.shares import describe_shares, end_of, marked, run_once, shares_of
 from ddpc_cosim.study.verdicts.standings import Standings, counted, standings, summed
 from ddpc_cosim.study.verdicts.statistics import Comparisons, Runs, Sample
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
@@ -161,7 +161,9 @@ class Condition:
     def shares(self, key: str) -> dict[str, Sample]:
         """Return how far each controller comes between the reference points; empty without a way to go."""
         if key not in self._shares:
-            runs = shares_of(self.cases, self.points, [key]) if self.points and metric_of(key).better else {}
+            runs: dict[str, Runs] = {}
+            if self.points and metric_of(key).better:
+                runs = shares_of(self.cases, self.points, [key], run_once(self.results.study))
             self._shares[key] = {name: describe_shares(shares) for name, shares in runs.items()}
         return self._shares[key]
 

@@ -13,7 +13,7 @@ from ddpc_cosim.files.tables import Heading, Table
 from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
-from ddpc_cosim.study.verdicts.shares import describe_shares, floored, share_runs, shares_of
+from ddpc_cosim.study.verdicts.shares import describe_shares, floored, run_once, share_runs, shares_of
 from ddpc_cosim.study.verdicts.statistics import Runs, Sample, compare_all, describe
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import duration, significant, time_scale
@@ -74,7 +74,10 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
             runs[results.study.name] = shares_of(
-                results.cases, points, headline(keys, results.study.metrics.ranking)
+                results.cases,
+                points,
+                headline(keys, results.study.metrics.ranking),
+                run_once(results.study),
             )
             for kind, medians in _needs(results, points, keys).items():
                 needs[kind].append(medians)
@@ -137,7 +140,7 @@ def _needs(
         if not math.isnan(step := case.metrics.get(_STEP, math.nan)):
             figures["step"].setdefault(case.controller, []).append(step)
     travels = [key for key in keys if split_key(key)[0] == _TRAVEL]
-    for run in share_runs(results.cases, points, travels):
+    for run in share_runs(results.cases, points, travels, run_once(results.study)):
         if run.full > 0 and not run.case.failed:
             ratio = run.case.metrics[run.metric] / run.full
             figures["travel"].setdefault(run.case.controller, []).append(ratio)

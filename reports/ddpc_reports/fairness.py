@@ -10,6 +10,7 @@ from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.files.texts import clipped, without_folders
 from ddpc_cosim.study.file_format.sections import TunedSection
 from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
+from ddpc_cosim.study.verdicts.shares import run_once
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.tables.settings import compact_seeds, limits_texts, mapping_text
@@ -55,6 +56,7 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
         "Measurements": [_measurements(first)],
         "Disturbances": _by_scenario(conditions, _disturbances) if results.study.disturbances else [],
         "Prices": [_prices(first)] if results.study.prices else [],
+        "Seeds": _seeds(results, first),
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),
         "Prior knowledge": [
@@ -178,6 +180,19 @@ def _forecast_used(told: str) -> _Fact:
 def _prices_used(told: str) -> _Fact:
     what = f"the price of {told}" if told else "no price"
     return _Fact(f"uses {what}", f"use {what}")
+
+
+def _seeds(results: StudyResults, first: Condition) -> list[_Terms]:
+    """Say who is run with the first seed alone, if anybody is."""
+    alone = run_once(results.study)
+    once = [controller for controller in first.controllers if controller.key in alone]
+    if not once or len(first.seeds) < 2:
+        return []
+    words = "{} {} run with seed {} alone, beside which runs of all seeds are set; all others with {}."
+    seeds = compact_seeds(first.seeds)
+    is_or_are = "is" if len(once) == 1 else "are"
+    who = join_words(names(once))
+    return [_Terms(Markup(words).format(who, is_or_are, first.seeds[0], f"seeds {seeds}"), alike=False)]
 
 
 def _limits(first: Condition) -> _Terms:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 from ddpc_cosim.files.tables import Cell, Heading
 from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.verdicts.sentences import italic, join_words
-from ddpc_cosim.study.verdicts.shares import FLOOR, NEGLIGIBLE
+from ddpc_cosim.study.verdicts.shares import FLOOR, NEGLIGIBLE, run_once
 from ddpc_cosim.study.verdicts.statistics import Sample
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 from ddpc_reports.numbers import MINUS, MISSING, fixed
@@ -134,7 +134,8 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
             else f"every run of {full.label} failed"
             if not full.succeeded
             else f"there is no seed on which {zero.label} completed and {full.label} did not fail"
-            if not {case.seed for case in zero.completed} & {case.seed for case in full.succeeded}
+            if not (run_once(condition.results.study) & {zero.key, full.key})
+            and not {case.seed for case in zero.completed} & {case.seed for case in full.succeeded}
             else f"in {metric_name(key)}, {full.label} is not better than {zero.label} by more than "
             f"{100 * NEGLIGIBLE:.0f}\u00a0% on any seed"
         )

@@ -116,7 +116,7 @@ def make_results_in(
         _write_one(folder, study, key, scenario, seed, trace_of(key, seed), settings)
         for key in study.controllers
         for scenario in study.scenarios
-        for seed in study.seeds
+        for seed in study.seeds[: 1 if study.controllers[key].seeds == "first" else None]
     ]
     cases = judged(study.scenarios, written, {})
     return StudyResults(

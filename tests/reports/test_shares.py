@@ -15,6 +15,7 @@ from ddpc_reports.across_problems import overall, overall_statements, overall_ta
 from ddpc_reports.certainty import certainty_tables
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.distances import distance_maps
+from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
 from ddpc_reports.verdict import Statement
@@ -70,6 +71,23 @@ def test_shares_are_those_of_the_metrics_file(results: StudyResults, seen: Condi
     assert cells(of_errors, "share of the way median (%)") == shown
     low, _, high = cells(of_errors, "share of the way interval (%)")["good"].partition(" … ")
     assert float(low) <= 100 * np.median(share) <= float(high)
+
+
+def test_a_reference_point_that_is_run_once_has_its_place_beside_all_seeds(
+    make_results: MakeResults, results: StudyResults
+) -> None:
+    once = FIVE | {"ideal": FIVE["ideal"] | {"seeds": "first"}}
+    (only,) = conditions(make_results(run_of, once, seeds=[*range(8)], report=POINTS))
+    errors = results.frame().pivot(index="seed", columns="controller", values=KEY)
+    share = (errors["rest"] - errors["good"]) / (errors["rest"] - errors["ideal"][0])
+    assert only.shares(KEY)["good"].median == pytest.approx(np.median(share))
+    terms = texts(fairness_statements(only.results, [only]))
+    assert terms["Seeds"] == (
+        "Ideal (100 %) is run with seed 0 alone, beside which runs of all seeds are set; all others with "
+        "seeds 0\N{EN DASH}7."
+    )
+    everyone = fairness_statements(results, conditions(results))
+    assert "Seeds" not in texts(everyone)
 
 
 def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:

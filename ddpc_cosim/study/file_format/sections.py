@@ -712,6 +712,11 @@ class ControllerSection(Section):
     tuned: Annotated[TunedSection | None, Prepared(_none_if_false, {"const": False})] = setting(
         None, doc="how settings were found; none, or `false`: that is not known"
     )
+    seeds: Literal["all", "first"] = setting(
+        "all",
+        doc="first: the first of the study's seeds alone, as a reference point may that takes long; runs "
+        "with all seeds are set beside that run",
+    )
     variant_of: str = setting("", doc="the controller whose sweep this one is part of")
     varied: list[str] = setting([], doc="settings in which it differs from that controller")
 

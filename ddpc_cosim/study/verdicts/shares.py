@@ -5,12 +5,13 @@ Of a metric m, in pairs of runs of the same problem, scenario and seed::
     share = (m_zero - m) / (m_zero - m_full)
 
 It is 0 for a run that is as good as that of the controller at 0 %, and 1 for one as good as that of the
-controller at 100 %; it may be negative or above 1. Scaling and shifting the metric changes nothing, so that
-shares of different plants can be set side by side.
+controller at 100 %; it may be negative or above 1. A reference point that is run with the first seed alone is
+set beside the runs of all seeds. Scaling and shifting the metric changes nothing, so that shares of different
+plants can be set side by side.
 """
 
 import math
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.errors import ConfigError
@@ -25,6 +26,7 @@ from fmu_plants.spelling import did_you_mean
 if TYPE_CHECKING:
     import pandas as pd
 
+    from ddpc_cosim.study.file_format.sections import Study
     from ddpc_cosim.study.problems import WholeStudy
 
 FLOOR = -1.0
@@ -62,14 +64,21 @@ class RunShare(NamedTuple):
 
 
 def share_runs(
-    cases: Sequence[CaseResult], points: ReferencePoints, metrics: Iterable[str]
+    cases: Sequence[CaseResult],
+    points: ReferencePoints,
+    metrics: Iterable[str],
+    run_once: Collection[str] = (),
 ) -> Iterator[RunShare]:
     """Yield what each run of one problem reaches, without those of the reference points.
 
     The run at 0 % has to complete, and may have failed: doing nothing mostly ends far from its reference. The
-    run at 100 % must not have failed.
+    run at 100 % must not have failed. ``run_once``: those that are run with the first seed alone.
     """
     at = {(case.controller, case.scenario, case.seed): case for case in cases}
+    seeds = dict.fromkeys(case.seed for case in cases)
+    for case in cases:
+        for seed in seeds if case.controller in run_once else ():
+            at.setdefault((case.controller, case.scenario, seed), case)
     for metric in metrics:
         for case in cases:
             if end_of(case.controller, points) is not None:
@@ -87,18 +96,26 @@ def share_runs(
 
 
 def shares_of(
-    cases: Sequence[CaseResult], points: ReferencePoints, metrics: Iterable[str]
+    cases: Sequence[CaseResult],
+    points: ReferencePoints,
+    metrics: Iterable[str],
+    run_once: Collection[str] = (),
 ) -> dict[str, Runs]:
     """Return the shares by controller, NaN of runs that failed; none where there is no way to go.
 
-    A condition is a scenario and a metric.
+    A condition is a scenario and a metric. ``run_once`` is that of :func:`share_runs`.
     """
     shares: dict[str, dict[tuple[Hashable, int], float]] = {}
-    for run_share in share_runs(cases, points, metrics):
+    for run_share in share_runs(cases, points, metrics, run_once):
         if run_share.has_way:
             run = (run_share.case.scenario, run_share.metric), run_share.case.seed
             shares.setdefault(run_share.case.controller, {})[run] = run_share.share
     return dict(shares)
+
+
+def run_once(study: "Study") -> set[str]:
+    """Return the controllers of a study of one problem that are run with its first seed alone."""
+    return {name for name, section in study.controllers.items() if section.seeds == "first"}
 
 
 def end_of(controller: str, points: ReferencePoints | None) -> float | None:
@@ -165,6 +182,8 @@ def share_frame(whole: "WholeStudy", cases: Sequence[CaseResult], metric: str) -
                     "full": run_share.full,
                     "share": run_share.share,
                 }
-                for run_share in share_runs(problem_cases, study.report.reference_points, metrics)
+                for run_share in share_runs(
+                    problem_cases, study.report.reference_points, metrics, run_once(study)
+                )
             ]
     return pd.DataFrame(rows)

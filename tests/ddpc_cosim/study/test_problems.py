@@ -9,6 +9,7 @@ import tomli_w
 from studies import run_file, write
 
 from ddpc_cosim import ConfigError
+from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
@@ -230,6 +231,32 @@ def test_reference_points_are_two_controllers_of_every_problem(tmp_path: Path) -
     ]
     (twice,) = faults(tmp_path, TWO + points.format("mfapc", "mfapc"))
     assert twice.endswith('reference_points.full: "mfapc" is also at 0 %; needed: two different controllers')
+
+
+def test_a_reference_point_may_be_run_with_the_first_seed_alone(tmp_path: Path) -> None:
+    points = '[report]\nreference_points = { zero = "mfapc", full = "pid" }\n'
+    once = TWO.replace("problems.pendulum = false", 'seeds = "first"')
+
+    def cases(text: str, *seeds: int) -> list[Case]:
+        problems = read(tmp_path, text).problems.items()
+        return cases_of_problems({name: (problem, problem.plant) for name, problem in problems}, seeds)
+
+    def seeds_of(cases: list[Case], controller: str) -> set[int]:
+        return {case.seed for case in cases if case.controller == controller}
+
+    assert seeds_of(cases(once + points), "mfapc") == {1, 2}
+    assert seeds_of(cases(once + points), "pid") == {1}
+    assert seeds_of(cases(once + points, 7, 8), "pid") == {7}
+    # Its run is the same one as if it were run with all seeds.
+    everyone = cases(once.replace('"first"', '"all"') + points)
+    assert {case.id for case in cases(once + points)} < {case.id for case in everyone}
+    whole = read(tmp_path, once + points).whole
+    assert WholeStudy.of_tables(whole.tables()) == whole
+    for fault in faults(tmp_path, once):
+        assert (
+            'controllers.pid.seeds: "first" is for a reference point, with which no other is compared in '
+            "pairs of seeds; leave it out, or name the controller in report.reference_points"
+        ) in fault
 
 
 def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -> None:

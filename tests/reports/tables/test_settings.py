@@ -443,6 +443,7 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
         *(("PlantSection", key) for key in ("fmu", "ssp")),  # in place of its name
         ("PlantSection", "library_path"),  # of FMUs
         *(("ControllerSection", key) for key in ("search", "first_trials")),  # of what is tuned, not run
+        ("ControllerSection", "seeds"),  # in tests of shares, as reference points
         *(("SearchSection", key) for key in declared_fields(SearchSection)),
         ("ReportSection", "reference_points"),  # in tests of shares
         *(("ReferencePoints", key) for key in declared_fields(ReferencePoints)),

@@ -121,6 +121,17 @@ def test_without_a_way_there_are_no_shares(zero: CaseResult, full: CaseResult) -
     assert shares_of([zero, full, case("own", 0.5)], POINTS, [KEY]) == {}
 
 
+def test_a_reference_point_that_is_run_once_is_set_beside_the_runs_of_all_seeds() -> None:
+    full = case("possible", 1.0, seed=2)
+    rest = [case("rest", 5.0 + seed, seed=seed) for seed in (2, 3, 4)]
+    own = [case("own", 2.0 + seed, seed=seed) for seed in (2, 3, 4)]
+    expected = {("nominal", KEY, seed): 3.0 / (4.0 + seed) for seed in (2, 3, 4)}
+    once = shares_of([full, *rest, *own], POINTS, [KEY], {"possible"})["own"]
+    assert {(*condition, seed): share for (condition, seed), share in once.items()} == pytest.approx(expected)
+    # Said of none, seeds without it have no share.
+    assert [seed for _, seed in shares_of([full, *rest, *own], POINTS, [KEY])["own"]] == [2]
+
+
 def test_a_run_that_failed_has_no_share_and_is_not_averaged_away() -> None:
     ends = [
         case(name, value, seed=seed)
