@@ -12,8 +12,9 @@ is ``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_
 diagonal, and what is paid adds ``price_weight sum_k price_k rate signal_k sampling_time``; the changes of the
 inputs keep the optimum determined. Limits that move are limits of the plan.
 
-It is a reference point, not a contender: equations and parameters are those that the plant is made of. It is
-not told what else acts on the plant: unknown disturbances, or parameters that change in a scenario.
+It is a reference point, not a contender: equations, parameters and tables, such as weather, are those that
+the plant is made of. It is not told what else acts on the plant: unknown disturbances, or parameters that
+change in a scenario.
 """
 
 from collections.abc import Mapping
@@ -35,7 +36,19 @@ from ddpc_controllers.models.plant_equations import (
 )
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HELD, PREDICTED
 from ddpc_controllers.optimisation.outlook import Foresight
-from ddpc_cosim import OK, Action, ConfigError, FloatArray, Integer, Log, Loop, Sample, Weight, setting
+from ddpc_cosim import (
+    OK,
+    Action,
+    ConfigError,
+    FloatArray,
+    Integer,
+    Log,
+    Loop,
+    Recording,
+    Sample,
+    Weight,
+    setting,
+)
 
 _PRECISE = {"tol": 1e-11, "compl_inf_tol": 1e-11, "acceptable_tol": 1e-8, "bound_relax_factor": 0.0}
 """Of IPOPT where slopes can be small beside the squares: of prices, and of outputs just outside a band."""
@@ -110,7 +123,7 @@ class NMPC(Foresight, Exportable):
         """
         model = find_model(self.model, self.fmu)
         plant = PlantEquations(model, loop, self.parameters)
-        self._named, self._steps = model.name, plant.steps
+        self._named, self._plant, self._past = model.name, plant, running_past(loop)
         self._filter = ExtendedKalmanFilter(
             plant, loop, self.process_noise, self.disturbance_noise, self.measurement_noise
         )
@@ -118,17 +131,9 @@ class NMPC(Foresight, Exportable):
         controlled = [variable.name for variable in loop.outputs]
         self._further = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
         self._program(plant, loop)
-        self._w: FloatArray | None = None if loop.disturbances else np.empty(0)
-        if past := running_past(loop):
-            for k, (u, y, measured, w) in enumerate(zip(past.u, past.y, past.measured, past.d, strict=True)):
-                time = (k - len(past)) * loop.sampling_time
-                before = w if self._w is None else self._w
-                self._filter.correct(self._signals(y, measured), self._u, before, time)
-                self._filter.predict(u, w, time)
-                self._u, self._w = u, w
-        states = np.zeros((len(plant.start), self.horizon))
-        inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
-        self._guess, self._planned = (states, inputs), False
+        self._w: FloatArray | None = None
+        self._sampling_time = loop.sampling_time
+        self._guess, self._planned = self._held(), False
 
     def _program(self, plant: PlantEquations, loop: Loop) -> None:
         """Set up the nonlinear program, in parts of nominal values: states first, then inputs."""
@@ -152,7 +157,7 @@ class NMPC(Foresight, Exportable):
                 "u": (m, 1),
                 "r": (p, steps),
                 "t": (1, 1),
-                "w": (len(loop.disturbances), steps),
+                "w": (plant.acting, steps),
                 "band": (2 * len(self._in_band), steps),
                 "limits": (2 * len(self._moving), steps),
                 "price": (len(loop.charges) if self._charged else 0, steps + 1),
@@ -162,7 +167,7 @@ class NMPC(Foresight, Exportable):
         u = inputs * ca.repmat(u_unit, 1, steps)
         d, times = ca.repmat(known["d"], 1, steps), known["t"] + loop.sampling_time * ca.DM(range(steps)).T
         before = ca.horzcat(known["x"], x[:, :-1])
-        w = [known["w"]] if loop.disturbances else []
+        w = [known["w"]] if plant.acting else []
         defects = (plant.advance.map(steps)(before, u, d, times, *w) - x) / ca.repmat(plant.nominal, 1, steps)
         seen = plant.output.map(steps)(x, u, d, times + loop.sampling_time, *w)
         y = seen[:p, :]
@@ -223,8 +228,10 @@ class NMPC(Foresight, Exportable):
 
     def step(self, sample: Sample) -> Action:
         """Return the first inputs of the optimal plan, shape (m,)."""
+        if self._past is not None:
+            self._catch_up(self._past, sample.time)
         signals = self._signals(sample.y, sample.measured)
-        now = self._disturbances(sample)
+        now = self._acting(self._disturbances(sample), sample.time)
         before = now[0] if self._w is None else self._w
         self._filter.correct(signals, self._u, before, sample.time)
         u, status, iterations = self._solve(sample, now)
@@ -233,12 +240,32 @@ class NMPC(Foresight, Exportable):
         missing = OK if np.isfinite(signals).all() else PREDICTED
         return Action(u.copy(), status or missing, {"iterations": iterations})
 
+    def _catch_up(self, past: Recording, now: float) -> None:
+        """Estimate the state from the samples before this one."""
+        began = now - len(past) * self._sampling_time
+        acting = self._acting(past.d, began)
+        for k, (u, y, measured, w) in enumerate(zip(past.u, past.y, past.measured, acting, strict=True)):
+            time = began + k * self._sampling_time
+            before = w if self._w is None else self._w
+            self._filter.correct(self._signals(y, measured), self._u, before, time)
+            self._filter.predict(u, w, time)
+            self._u, self._w = u, w
+        self._guess, self._past = self._held(), None
+
+    def _held(self) -> tuple[FloatArray, FloatArray]:
+        """Return a guess of the plan: states at their start, and inputs held, in parts of nominal values."""
+        inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
+        return np.zeros((len(self._plant.start), self.horizon)), inputs
+
+    def _acting(self, disturbances: FloatArray, begin: float) -> FloatArray:
+        """Return what acts over samples from a time on [s], shape (samples, n_w), of tables midway."""
+        midway = begin + (np.arange(len(disturbances), dtype=np.float64) + 0.5) * self._sampling_time
+        return self._plant.of_acting(disturbances, midway)
+
     def _disturbances(self, sample: Sample) -> FloatArray:
-        """Return the known disturbances over the horizon, shape (N, n_w)."""
-        if self._w is not None and not self._w.size:
-            return np.empty((self.horizon, 0))
+        """Return the known disturbances over the horizon, shape (N, n_d)."""
         lasting = np.repeat(sample.disturbance[np.newaxis], self.horizon, axis=0)
-        if self.use_forecast:
+        if self.use_forecast and lasting.size:
             lasting[1:] = sample.forecast[: self.horizon - 1]
         return lasting
 
@@ -291,7 +318,7 @@ class NMPC(Foresight, Exportable):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the number of states, and of Runge-Kutta steps in a sample."""
-        return {"model_order": float(len(self._filter.x)), "steps_per_sample": float(self._steps)}
+        return {"model_order": float(len(self._filter.x)), "steps_per_sample": float(self._plant.steps)}
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Refuse: IPOPT iterates on equations of any plant.
@@ -308,7 +335,8 @@ class NMPC(Foresight, Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""
-        prior = f"everything: the equations, parameters and start values of {self._named}"
+        tables = ", tables" * bool(self._plant.tables)
+        prior = f"everything: the equations, parameters{tables} and start values of {self._named}"
         facts = prior_info(prior, loop.outputs, loop.measurements)
         if loop.disturbances:
             names = ", ".join(variable.name for variable in loop.disturbances)

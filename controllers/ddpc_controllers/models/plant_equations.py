@@ -3,8 +3,9 @@
     x+ = F(x, u + d, t, w),   y = h(x, u + d, t, w)
 
 The equations are those of a `PlantModel` of :mod:`fmu_plants`, found as a plug-in. The inputs carry the
-disturbance d; where they outnumber the outputs, the outputs do. Known disturbances w are inputs of the plant
-that the loop does not drive.
+disturbance d; where they outnumber the outputs, the outputs do. What acts besides, w, are the known
+disturbances that are inputs of the plant, then what it reads from its tables, such as weather. Of a plant
+that controls itself the inputs are the overrides of its actuators.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +26,7 @@ from ddpc_cosim import (
     Variable,
 )
 from ddpc_cosim.plugins import installed, load_plugin
+from fmu_plants.model import override_name
 
 _STEP_TIMES_POLE = 2.0
 """Runge-Kutta steps of fourth order are stable up to 2.78."""
@@ -99,7 +101,8 @@ class PlantEquations:
     model : PlantModel
         The plant.
     loop : Loop
-        Its inputs and outputs are the model's, by name; further inputs rest at their start values.
+        Its inputs and outputs are the model's, by name; further inputs rest at their start values. Of known
+        disturbances that are outputs of the model, the equations say what they are.
     given : mapping of str to float
         Parameters, and inputs that the loop does not drive, that differ from the model's.
 
@@ -114,30 +117,41 @@ class PlantEquations:
         Their nominal values.
     disturbances : int
         Size of d.
+    acting : int
+        Size of w.
 
     Raises
     ------
     ConfigError
-        Every signal that the model does not have, or a function that CasADi does not.
+        Every signal that the model does not have, an actuator that it controls itself, or a function that
+        CasADi does not have.
     """
 
     def __init__(self, model: Any, loop: Loop, given: Mapping[str, float]) -> None:
         ca = casadi()
         signals = measured_signals(loop)
-        driven, known = ([v.name for v in variables] for variables in (loop.inputs, loop.disturbances))
+        driven, told = ([v.name for v in variables] for variables in (loop.inputs, loop.disturbances))
+        given_out = {variable.name for variable in (*model.states, *model.outputs)}
+        self._known = [i for i, name in enumerate(told) if name not in given_out]
+        known = [told[i] for i in self._known]
         _check_names(model, driven, known, [variable.name for variable in signals], given)
+        self.tables = [_Table(table) for table in model.tables]
         constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
+        overridden = {override_name(v.name): v.name for v in model.actuators}
+        commands = [overridden.get(name, name) for name in driven]
 
         states = [state.name for state in model.states]
-        n, m, p, n_w = len(states), len(driven), len(loop.outputs), len(known)
+        acting = [*known, *(variable.name for variable in model.columns)]
+        n, m, p, n_w = len(states), len(driven), len(loop.outputs), len(acting)
+        self.acting = n_w
         x, u, t, w = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t"), ca.SX.sym("w", n_w)
         self.disturbances = m if m <= p else p
         d = ca.SX.sym("d", self.disturbances)
-        arguments = [x, u, d, t, *([w] if known else [])]
+        arguments = [x, u, d, t, *([w] if acting else [])]
         applied = u + d if m <= p else u
-        values = constants | dict(zip(driven, ca.vertsplit(applied), strict=True)) | {"time": t}
+        values = constants | dict(zip(commands, ca.vertsplit(applied), strict=True)) | {"time": t}
         values |= dict(zip(states, ca.vertsplit(x), strict=True))
-        values |= dict(zip(known, ca.vertsplit(w) if known else (), strict=True))
+        values |= dict(zip(acting, ca.vertsplit(w) if acting else (), strict=True))
         equations = model.equations(_Symbols([*values]))
         convert = _Converter(ca, values)
         outputs = {name: values[name] for name in states} | {
@@ -156,6 +170,7 @@ class PlantEquations:
             np.array([variable.start for variable in variables])
             for variables in (loop.inputs, loop.disturbances)
         )
+        usual = self.of_acting(usual[np.newaxis], np.zeros(1))[0]
         self.steps = _steps(
             ca,
             slope,
@@ -166,6 +181,30 @@ class PlantEquations:
         for i in range(self.steps):
             end = _runge_kutta(lambda x, t: slope(x, u, d, t, *arguments[4:]), end, t + i * h, h)
         self.advance = ca.Function("advance", arguments, [end])
+
+    def of_acting(self, disturbances: FloatArray, times: FloatArray) -> FloatArray:
+        """Return w at times [s], shape (samples, n_w), given the loop's disturbances then, (samples, n_d)."""
+        return np.hstack([disturbances[:, self._known], *(table.at(times) for table in self.tables)])
+
+
+class _Table:
+    """What a plant reads over time: an `InputTable` of :mod:`fmu_plants`."""
+
+    def __init__(self, table: Any) -> None:
+        self._times, self._rows = table.values()
+        self._period, self._is_linear = table.period, table.interpolation == "linear"
+        if self._period is not None:  # the last row is followed by the first
+            self._times = np.append(self._times, self._times[0] + self._period)
+            self._rows = np.vstack([self._rows, self._rows[:1]])
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return its columns at times [s], shape (samples, columns)."""
+        first = self._times[0]
+        within = times if self._period is None else first + (times - first) % self._period
+        if not self._is_linear:
+            rows = np.searchsorted(self._times, within, side="right") - 1
+            return np.asarray(self._rows[np.maximum(rows, 0)])
+        return np.column_stack([np.interp(within, self._times, column) for column in self._rows.T])
 
 
 class _Symbols:
@@ -228,8 +267,9 @@ def _check_names(
     given: Mapping[str, float],
 ) -> None:
     acting = {*driven, *disturbances}
+    overrides = [override_name(v.name) for v in model.actuators]
     known = {
-        "input": ([v.name for v in model.inputs], driven),
+        "input": ([*(v.name for v in model.inputs), *overrides], driven),
         "input that is not driven, as a known disturbance is,": (
             [v.name for v in model.inputs if v.name not in driven],
             disturbances,
@@ -242,6 +282,11 @@ def _check_names(
         for what, (names, wanted) in known.items()
         for name in dict.fromkeys(wanted)
         if name not in names
+    ]
+    faults += [
+        f'NMPC: model {model.name} controls "{name}" itself, whose rules no plan has; drive it, too'
+        for name in overrides
+        if name not in driven
     ]
     if faults:
         raise ConfigError(faults)
