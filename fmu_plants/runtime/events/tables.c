@@ -92,9 +92,9 @@ static bool is_blank(char character)
 /* Take the part up to a separator off the front of a text, without blanks and quotation marks around it. */
 static Span take(Span *text, char separator)
 {
-    const char *found = memchr(text->begin, separator, (size_t)(text->end - text->begin));
-    Span part = {text->begin, found ? found : text->end};
-    text->begin = found ? found + 1 : text->end;
+    Span part = {text->begin, text->begin};
+    while (part.end < text->end && *part.end != separator) ++part.end;
+    text->begin = part.end < text->end ? part.end + 1 : text->end;
     while (part.begin < part.end && is_blank(*part.begin)) ++part.begin;
     while (part.begin < part.end && is_blank(part.end[-1])) --part.end;
     return part;
