@@ -56,7 +56,7 @@ def factor_of(source: str, unit: str) -> float:
         It is not of that quantity.
     """
     needed = _UNITS.get(kind_of(source), unit)
-    return 1.0 if unit in ("", "1", needed) else display_unit(unit, needed).factor
+    return 1.0 if unit in ("", needed) else display_unit(unit, needed).factor
 
 
 def tagged(tags: KeyFigureTags, *kinds: str) -> Iterator[tuple[str, str]]:

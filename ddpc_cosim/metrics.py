@@ -277,8 +277,8 @@ def describe_metric(plugin: Plugin) -> tuple[str, bool]:
 def _fault(plugin: Plugin) -> str:
     """Return why an installed object cannot be a metric; empty if it can."""
     metric = plugin.value
-    # One that was called after an amount before there were prices goes on, in place of the built-in one.
-    if plugin.name in METRICS and METRICS[plugin.name].of is not Charged:
+    # One that was called after an amount, or a key figure, before those were built in takes their place.
+    if plugin.name in METRICS and METRICS[plugin.name].of not in (Charged, KeyFigures):
         return "there is a built-in metric of this name; choose another"
     if not re.fullmatch(r"[A-Za-z0-9_-]+", plugin.name):
         return "a name may have letters, digits, _ and - only"
