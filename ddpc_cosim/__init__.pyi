@@ -80,6 +80,7 @@ from .signals.signals import (
     Reference as Reference,
     Signal as Signal,
     SignalFromFile as SignalFromFile,
+    SignalFromResource as SignalFromResource,
     Sine as Sine,
     Steps as Steps,
     Sum as Sum,

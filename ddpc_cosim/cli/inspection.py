@@ -11,10 +11,13 @@ from rich.text import Text
 from ddpc_cosim.cli.output import fitting, terminal_table
 from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.description import DefaultExperiment, DescribedVariable
+from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.files.time_tables import TimeTable
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
+from ddpc_cosim.fmu.resources import Resources, unit_of
 from ddpc_cosim.inspection import Inspection
 from ddpc_cosim.inspection.systems import SystemInspection
 from ddpc_cosim.variables import Variable
@@ -24,6 +27,7 @@ _LONGEST_CELL = 10_000
 _STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
 _HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
 _IN_WORDS = ("unit", "more", "description", "values set")
+_SAID_BESIDE = ("start", "min", "mean", "max", "nominal", "begins", "ends")
 _LONGEST_NAME = 30
 _BYTES_PER_KILOBYTE = 1000
 
@@ -82,7 +86,7 @@ def plain_lines(inspection: Inspected) -> Iterator[str]:
     for section in _sections(inspection):
         for row in section.rows:
             cells = (
-                f"{h} {cell}" if h in ("start", "min", "max", "nominal") else cell
+                f"{h} {cell}" if h in _SAID_BESIDE else cell
                 for h, cell in zip(section.headings, row, strict=True)
                 if cell
             )
@@ -127,7 +131,19 @@ def _facts(inspection: Inspected) -> Iterator[tuple[str, str]]:
     yield "platforms", ", ".join(has) or "none"
     runs = {"binary": "yes", "sources": "yes, from its sources", "": "no"}[binaries.route]
     yield "runs here", runs if inspection.can_run else "no"
+    yield from _resource_facts(inspection.resources)
     yield "sha256", inspection.sha256
+
+
+def _resource_facts(resources: Resources) -> Iterator[tuple[str, str]]:
+    facts = (
+        f"{resources.area:g} m2" if resources.area is not None else "",
+        f"step {in_words(resources.step)}" if resources.step is not None else "",
+        f"warm-up {in_words(resources.warm_up)}" if resources.warm_up is not None else "",
+        f"start {in_words(resources.start_time)}" if resources.start_time is not None else "",
+    )
+    if any(facts) or resources.name:
+        yield "case", _joined((resources.name, *facts))
 
 
 def _system_facts(inspection: SystemInspection) -> Iterator[tuple[str, str]]:
@@ -246,6 +262,31 @@ def _sections(inspection: Inspected) -> Iterator[_Section]:
     yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
     rows = [_clock_row(clock, ticks=ticks) for clock, ticks in inspection.clocks.items()]
     yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
+    yield from _resource_sections(inspection.resources)
+
+
+def _resource_sections(resources: Resources) -> Iterator[_Section]:
+    """Yield what lies in the folder resources: days, sources of key figures, tables over time."""
+    days = [(name, str(day)) for name, day in resources.days.items()]
+    yield _Section("Days of the year", "day", ("name", "day"), days)
+    figures = [(source, _joined(outputs)) for source, outputs in resources.key_figures.items()]
+    yield _Section("Key figures", "key figure", ("source", "outputs"), figures)
+    tables = [_table_row(table) for table in resources.tables]
+    yield _Section("Tables over time", "table", ("file", "rows", "begins", "ends", "more"), tables)
+    rows = [_column_row(table, column) for table in resources.tables for column in table.columns]
+    yield _Section("Columns of the tables", "column", ("name", "unit", "min", "mean", "max", "file"), rows)
+
+
+def _table_row(table: TimeTable) -> Cells:
+    begin, end = (in_words(float(table.time[i])) for i in (0, -1))
+    after = "comes again after its end" if table.period else ""
+    return table.file, f"{len(table.time)} rows", begin, end, after
+
+
+def _column_row(table: TimeTable, column: str) -> Cells:
+    figures = (f"{value:.5g}" if math.isfinite(value) else "" for value in table.statistics(column))
+    unit = unit_of(table, column)
+    return (column, f"[{unit}]" if unit else "", *figures, table.file)
 
 
 def _inputs(inspection: Inspected) -> _Section:

@@ -26,7 +26,7 @@ MODEL_DESCRIPTION = "modelDescription.xml"
 _RESOURCES = "resources"
 
 # Whatever zipfile and its decompressors raise for archives that are not what they claim to be.
-_DAMAGED = (
+DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
     lzma.LZMAError,
@@ -139,13 +139,13 @@ def unpack(
     try:
         _check_directory(path, limits)
         archive = zipfile.ZipFile(path)
-    except (*_DAMAGED, OSError) as error:
+    except (*DAMAGED, OSError) as error:
         reason = _stand_in(path) or _reason(error)
         raise FMUImportError(f"{path.name}: not an {kind}: {reason}") from error
     try:
         with archive:
             _unpack_entries(archive, folder, limits, path, needed, kind)
-    except _DAMAGED as error:
+    except DAMAGED as error:
         raise FMUImportError(f"{path.name}: damaged archive: {_reason(error)}") from error
     except OSError as error:
         raise FMUImportError(f"{path.name}: cannot be unpacked: {_reason(error)}") from error

@@ -9,13 +9,15 @@ from typing import Any
 
 from ddpc_cosim.description import DescribedVariable, switches_of
 from ddpc_cosim.errors import ConfigError, FMUImportError
+from ddpc_cosim.files.time_tables import TimeTable
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.companions import say_nothing
 from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
+from ddpc_cosim.fmu.resources import Resources, read_resources, unit_of
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
-from ddpc_cosim.inspection.checks import check_description
+from ddpc_cosim.inspection.checks import check_description, check_resources
 from ddpc_cosim.plant import library_path_faults
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.variables import Variable
@@ -46,6 +48,8 @@ class Inspection:
         What it brings to run on.
     defects : tuple of Defect
         What is wrong, the worst first.
+    resources : Resources
+        What lies in its folder ``resources``: tables over time, and what its author says of its use.
     """
 
     path: Path
@@ -54,6 +58,7 @@ class Inspection:
     description: FMUDescription | None
     binaries: Binaries
     defects: tuple[Defect, ...]
+    resources: Resources
 
     @property
     def can_run(self) -> bool:
@@ -169,7 +174,7 @@ def inspect_fmu(
         raise FMUImportError(f"{path}: no such file")
     if faults := library_path_faults(library_path):
         raise ConfigError(faults)
-    findings = Findings()
+    findings, resources = Findings(), Resources()
     scratch = ScratchFolder()
     scratch.remove_after_death()
     with scratch as folder:
@@ -179,11 +184,16 @@ def inspect_fmu(
             return check_binaries(unpacked, description, path.name, findings, libraries, tell)
 
         description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings, check)
+    if binaries is not _NO_BINARIES:  # what cannot be unpacked is not looked into any further
+        resources = read_resources(path, findings)
+    if description is not None:
+        check_resources(resources, description, findings)
     if strict and binaries is not _NO_BINARIES:
         _validate(path, findings)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return Inspection(path, path.stat().st_size, digest, description, binaries, findings.defects())
+    size = path.stat().st_size
+    return Inspection(path, size, digest, description, binaries, findings.defects(), resources)
 
 
 def _look_inside(
@@ -246,7 +256,40 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
             output: None if inputs is None else list(inputs)
             for output, inputs in inspection.feedthrough.items()
         },
+        "resources": _resources(inspection.resources),
         "defects": defects_as_data(inspection.defects),
+    }
+
+
+def _resources(resources: Resources) -> dict[str, Any]:
+    return {
+        "files": list(resources.files),
+        "name": resources.name or None,
+        "area": resources.area,
+        "step": resources.step,
+        "warm_up": resources.warm_up,
+        "start_time": resources.start_time,
+        "days": dict(resources.days),
+        "key_figures": {source: list(outputs) for source, outputs in resources.key_figures.items()},
+        "tables": [_table(table) for table in resources.tables],
+    }
+
+
+def _table(table: TimeTable) -> dict[str, Any]:
+    return {
+        "file": table.file,
+        "rows": len(table.time),
+        "from": float(table.time[0]),
+        "to": float(table.time[-1]),
+        "period": table.period or None,
+        "columns": [
+            {
+                "name": column,
+                "unit": unit_of(table, column) or None,
+                **{key: _finite(value) for key, value in table.statistics(column)._asdict().items()},
+            }
+            for column in table.columns
+        ],
     }
 
 

@@ -6,6 +6,7 @@ from ddpc_cosim.description import DescribedVariable
 from ddpc_cosim.fmu.archive import is_file_name
 from ddpc_cosim.fmu.description import INTERFACES, FMUDescription
 from ddpc_cosim.fmu.description.defects import BAD_EXPERIMENT, Findings, Kind, Severity
+from ddpc_cosim.fmu.resources import Resources
 
 _C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -50,6 +51,21 @@ ZERO_NOMINAL = Kind("zero-nominal", _WARNING, "nominal values of zero", "1 is us
 NEEDLESS_START = Kind(
     "needless-start", _NOTE, "start values of variables that the FMU calculates", "they have no effect"
 )
+
+NO_KEY_OUTPUT = Kind(
+    "no-key-output",
+    _WARNING,
+    "key figures of kpis.json are made of outputs that do not exist",
+    "these sources are left out",
+)
+
+
+def check_resources(resources: Resources, description: FMUDescription, findings: Findings) -> None:
+    """Check that what the resources call outputs are some."""
+    for source, outputs in resources.key_figures.items():
+        for name in outputs:
+            if name not in description.variables:
+                findings.add(NO_KEY_OUTPUT, f'{source}: "{name}"')
 
 
 def check_description(description: FMUDescription, findings: Findings) -> None:

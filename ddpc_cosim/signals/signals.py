@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, fields, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_origin
@@ -14,6 +14,7 @@ from ddpc_cosim.codec import Kinds, Section, Size, declared_fields
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, read_table
 from ddpc_cosim.files.durations import in_words, shown
+from ddpc_cosim.files.time_tables import TimeTable
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import SIGNAL, setting
 from ddpc_cosim.variables import FloatArray, Variable, converter
@@ -128,11 +129,11 @@ class Signal(Section, Reference):
     def _converted(self, convert: Callable[[Any], Any]) -> dict[str, Any]:
         """Return what is in the unit of the signal, in another one."""
         converted = dict[str, Any]()
-        for field in declared_fields(type(self)).values():
-            if field.info.unit == SIGNAL:
-                value = getattr(self, field.name)
+        for declared in declared_fields(type(self)).values():
+            if declared.info.unit == SIGNAL:
+                value = getattr(self, declared.name)
                 is_one = isinstance(value, Real)
-                converted[field.name] = (
+                converted[declared.name] = (
                     float(convert(value)) if is_one else tuple(float(convert(v)) for v in value)
                 )
         return converted
@@ -474,11 +475,7 @@ class SignalFromFile(_OfFile):
         """
         time, _ = read_table(Path(self.file), [], self.time_column)
         held = float(time[-1] - time[-2]) if self.interpolation == "hold" and len(time) > 1 else 0.0
-        begin, end, early = float(time[0]), float(time[-1]) + held, _RELATIVE_TIME_TOLERANCE * abs(last)
-        if begin <= first + early and last <= end + early:
-            return ""
-        known = f"{self.file} tells it from t = {in_words(begin)} to {in_words(end)}"
-        return f"{known}; needed: from {in_words(first)} to {in_words(last)}"
+        return _gap(self.file, (float(time[0]), float(time[-1]) + held), first, last)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -510,12 +507,136 @@ class RecordedSignal(_OfFile):
         return Steps(tuple(time.tolist()), tuple(values[:samples, 0].tolist()))
 
 
+@dataclass(frozen=True, slots=True)
+class TabulatedSignal(Reference):
+    """A column of a table that a plant brings along, over the time from the start of the year.
+
+    The plant decides what the table holds: ``repr`` and equality go by its name and the column's alone.
+
+    Parameters
+    ----------
+    file, column : str
+        The table, and its column.
+    unit : str
+        Unit of the values in the table; empty: that of the signal that it is for.
+    interpolation : {"hold", "linear"}
+        What the signal is between two rows.
+    times : array, shape (n,)
+        Increasing times [s].
+    values : array, shape (n,)
+        In the unit of the signal that it is for.
+    period : float
+        After which time all of it comes again [s]; 0: never, the first and the last value hold.
+    """
+
+    file: str
+    column: str
+    unit: str
+    interpolation: str
+    times: FloatArray = field(repr=False, compare=False)
+    values: FloatArray = field(repr=False, compare=False)
+    period: float = field(repr=False, compare=False)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        if self.interpolation == "linear":
+            return np.interp(time, self.times, self.values, period=self.period or None)
+        late = time + _RELATIVE_TIME_TOLERANCE * np.maximum(1.0, np.abs(time))
+        if self.period:
+            late = self.times[0] + np.mod(late - self.times[0], self.period)
+        index = np.searchsorted(self.times, late, side="right") - 1
+        return self.values[np.maximum(index, 0)]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SignalFromResource(Signal):
+    """A column of a table in the resources of the plant: its weather, occupancy, setpoints or prices.
+
+    The table is a CSV file in the folder ``resources`` of an FMU, or of a plant of equations, with a column
+    ``time`` from the start of the year. One over a year goes on periodically.
+
+    Parameters
+    ----------
+    file : str
+        Name of the table, as ``"weather.csv"``.
+    column : str
+        Header of the column, as ``"TDryBul"`` or ``"LowerSetp[1]"``.
+    interpolation : {"hold", "linear"}
+        What the signal is between two rows: the last value, or a straight line.
+    """
+
+    kind: ClassVar[str] = "resource"
+
+    file: str = setting(doc="a table in the plant's resources")
+    column: str = setting(doc="header of the column")
+    _: KW_ONLY
+    interpolation: Literal["hold", "linear"] = setting(
+        "hold", doc="what the signal is between two rows: the last value, or a straight line"
+    )
+    table: TimeTable | None = setting(None, doc="what the plant has of that name", key=None)
+
+    def __repr__(self) -> str:
+        return shown_without(self, ("table",) if self.unit else ("table", "unit"))
+
+    def in_unit(self, variable: Variable, *, difference: bool = False) -> Reference:
+        """Return the signal in a variable's own unit.
+
+        Raises
+        ------
+        DataError
+            The plant has no such column, or not all of it is numbers.
+        ConfigError
+            The unit does not fit, or it is not known what the plant has.
+        """
+        times, values = self._table.column(self.column)
+        written = self._table.units.get(self.column, "")
+        if written and self.unit and written != self.unit:
+            what = f'unit = "{self.unit}" contradicts what {self.file} says of {self.column}: {written}'
+            raise ConfigError(what)
+        unit = self.unit or written
+        convert = converter(variable, unit, difference=difference)
+        return TabulatedSignal(
+            *(self.file, self.column, unit, self.interpolation, times, convert(values), self._table.period)
+        )
+
+    @property
+    def _table(self) -> TimeTable:
+        if self.table is None:
+            raise ConfigError(f"{self.file}: needed: a plant in a study, whose resources have the table")
+        return self.table
+
+    def gap(self, first: float, last: float) -> str:
+        """Return why the table does not tell the signal from one time to another [s]; empty if it does.
+
+        Errors as of :meth:`in_unit`.
+        """
+        times, _ = self._table.column(self.column)
+        if self._table.period or len(times) == 1:
+            return ""
+        held = float(times[-1] - times[-2]) if self.interpolation == "hold" else 0.0
+        return _gap(self.file, (float(times[0]), float(times[-1]) + held), first, last)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Raise ConfigError: what a column holds depends on the signal that it is for."""
+        raise ConfigError(f"{self.file}: needed: in_unit(variable), which reads the table")
+
+
+def _gap(file: str, known: tuple[float, float], first: float, last: float) -> str:
+    """Return that what a file tells ends before it has to, or begins too late; empty if not [s]."""
+    begin, end = known
+    early = _RELATIVE_TIME_TOLERANCE * abs(last)
+    if begin <= first + early and last <= end + early:
+        return ""
+    tells = f"{file} tells it from t = {in_words(begin)} to {in_words(end)}"
+    return f"{tells}; needed: from {in_words(first)} to {in_words(last)}"
+
+
 def by_kind(*classes: Any) -> dict[str, type[Any]]:
     """Return classes by their ``kind``."""
     return {class_.kind: class_ for class_ in classes}
 
 
-REFERENCES = by_kind(Constant, Steps, Interpolated, Ramp, Sine, SignalFromFile)
+REFERENCES = by_kind(Constant, Steps, Interpolated, Ramp, Sine, SignalFromFile, SignalFromResource)
 """The signals that a reference may be, by their kinds."""
 ReferenceSignal = Annotated[Reference, Kinds(REFERENCES)]
 _PARTS = REFERENCES | by_kind(WhiteNoise, RandomLevels)

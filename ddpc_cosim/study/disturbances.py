@@ -7,7 +7,7 @@ from ddpc_cosim.codec import InvalidFieldError, independent
 from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.signals.disturbances import KnownDisturbance, RunTimes, is_foretelling
-from ddpc_cosim.signals.signals import Reference, SignalFromFile
+from ddpc_cosim.signals.signals import Reference, SignalFromFile, SignalFromResource
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 
@@ -223,13 +223,16 @@ class Disturbances:
 
 
 def check_reach(selected: SelectedSignals, place: Place, signal: object, first: float, last: float) -> None:
-    """Report a signal from a file, or with one, that does not tell it from one time to another [s]."""
+    """Report a signal from a file or a table, or with one, that does not tell it between two times [s]."""
     for i, part in enumerate(getattr(signal, "parts", ())):
         check_reach(selected, (*place, "parts", i), part, first, last)
-    if not isinstance(signal, SignalFromFile) or (*place, "file") in selected.errors.found:
+    if not isinstance(signal, SignalFromFile | SignalFromResource):
+        return
+    if (*place, "file") in selected.errors.found:
         return
     try:
-        gap = signal.gap(first, last)
+        tabled = selected.tabled(signal) if isinstance(signal, SignalFromResource) else signal
+        gap = tabled.gap(first, last)
     except (InvalidFieldError, DataError):  # reported where it is read
         return
     if gap:

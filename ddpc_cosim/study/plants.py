@@ -4,7 +4,7 @@ import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -15,8 +15,9 @@ import numpy as np
 from ddpc_cosim.codec import in_folder, plant_in_folder
 from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
-from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, DataError, FMUImportError
 from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
+from ddpc_cosim.files.time_tables import TimeTable
 from ddpc_cosim.loop.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -229,6 +230,26 @@ class PlantSpec:
         finally:
             plant.close()
 
+    def tables(self) -> "PlantTables":
+        """Return the tables in its resources; those of a part have its name and a slash before theirs."""
+        if self.coupled:
+            return PlantTables(
+                {
+                    f"{part}/{name}": partial(tables.table, name)
+                    for part, spec in self.coupled.parts.items()
+                    for tables in (cast("PlantSpec", spec).tables(),)
+                    for name in tables.names
+                }
+            )
+        if self.fmu:
+            from ddpc_cosim.fmu.resources import ResourceFiles
+
+            files = ResourceFiles(Path(self.fmu))
+            return PlantTables({name: partial(files.table, name) for name in files.tables})
+        plugin = self._plugin()
+        tables = getattr(plugin, "tables", ()) if _is_model(plugin) else ()
+        return PlantTables({table.file: partial(_table_of_model, table) for table in tables})
+
     def built(self) -> Self:
         """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
         if self.coupled:
@@ -311,6 +332,41 @@ class PlantSpec:
                 library_path=self.library_path,
                 **self.isolation,
             )
+
+
+class PlantTables:
+    """The tables in the resources of a plant, each read when it is first asked for, and once.
+
+    Parameters
+    ----------
+    tables : mapping of str to callable
+        What reads each of them, by name.
+    """
+
+    def __init__(self, tables: Mapping[str, Callable[[], TimeTable]]) -> None:
+        self._tables = tables
+        self._read = dict[str, TimeTable]()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the tables."""
+        return tuple(self._tables)
+
+    def table(self, name: str) -> TimeTable:
+        """Return a table by its name; DataError: there is none, or it cannot be read."""
+        if name not in self._tables:
+            raise DataError(f"{name}: no such table; {did_you_mean(name, self._tables)}")
+        if name not in self._read:
+            self._read[name] = self._tables[name]()
+        return self._read[name]
+
+
+def _table_of_model(table: Any) -> TimeTable:
+    """Return a table of a plant of equations, as its FMU has it in a file."""
+    time, values = table.values()
+    columns = tuple(table.headers.get(variable.name, variable.name) for variable in table.variables)
+    units = {column: v.unit for column, v in zip(columns, table.variables, strict=True) if v.unit}
+    return TimeTable(table.file, time, values, columns, units)
 
 
 def _coupled(section: "PlantSection") -> CoupledSpec:

@@ -47,7 +47,7 @@ from ddpc_cosim.study.file_format.sections import (
 )
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.key_figures import StudyKeyFigures
-from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.plants import PlantSpec, PlantTables
 from ddpc_cosim.study.prices import Prices
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.requirements import RequirementsCheck
@@ -174,6 +174,7 @@ class StudyCache:
 
     def __init__(self) -> None:
         self._variables: list[tuple[PlantSpec, PlantDescription]] = []
+        self._tables = dict[tuple[str, str], PlantTables]()
         self._in_time: dict[float, CallsInTime] = {}
         self.late: dict[str, str] = {}  # by type of controller, the call that has not returned in time
 
@@ -188,6 +189,12 @@ class StudyCache:
             description = spec.variables()
             self._variables.append((spec, description))
         return description
+
+    def tables(self, spec: PlantSpec) -> PlantTables:
+        """Return the tables in the resources of a plant, each of which is read once."""
+        if spec.coupled:
+            return spec.tables()
+        return self._tables.setdefault((spec.name, spec.fmu), spec.tables())
 
     def forget(self) -> None:
         """Let go of threads and files."""
@@ -253,7 +260,7 @@ class _Resolution:
         self.plant, self.variables = plant
         self._check_plant()
         self._check_switches()
-        self.signals = SelectedSignals(study, self.variables, errors, self.is_free)
+        self.signals = SelectedSignals(study, self.variables, errors, cache.tables(self.plant), self.is_free)
         self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
         self.measurements = self.signals.measurements
         self.disturbances = Disturbances(self.signals, self.horizon)

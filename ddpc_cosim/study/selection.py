@@ -1,6 +1,7 @@
 """The signals of a study that take part, and what its sections say of them, in their units."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim.codec import InvalidFieldError, ValidationErrors, independent
@@ -9,10 +10,11 @@ from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.loop.setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.signals.excitations import Excitation, MixedExcitation, excitation_of, excited_together
-from ddpc_cosim.signals.signals import Reference, level_in_unit
+from ddpc_cosim.signals.signals import Product, Reference, SignalFromResource, Sum, level_in_unit
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
+from ddpc_cosim.study.plants import PlantTables
 from ddpc_cosim.variables import Variable, converter
-from fmu_plants.spelling import nearest
+from fmu_plants.spelling import did_you_mean, nearest
 
 K = TypeVar("K", str, int)
 
@@ -46,14 +48,21 @@ class SelectedSignals:
         All variables of its plant.
     errors : ValidationErrors
         What was found before; what is found here is added.
+    tables : PlantTables
+        Those in the plant's resources.
     is_free : bool
         Nothing is controlled: outputs are measured only.
     """
 
     def __init__(
-        self, study: Study, variables: PlantDescription, errors: ValidationErrors, is_free: bool = False
+        self,
+        study: Study,
+        variables: PlantDescription,
+        errors: ValidationErrors,
+        tables: PlantTables,
+        is_free: bool = False,
     ) -> None:
-        self.study, self.variables, self.errors = study, variables, errors
+        self.study, self.variables, self.errors, self.tables = study, variables, errors, tables
         plant = study.plant
         inputs = variables.default_inputs or tuple(variables.inputs)
         # What a wrong name probably stands for is not driven either.
@@ -107,7 +116,9 @@ class SelectedSignals:
         signals = {}
         for name in self.converters(place, sections, variables, difference=difference):
             try:
-                signals[name] = sections[name].in_unit(variables[name], difference=difference)
+                signal = self._with_tables((*place, name), sections[name])
+                if signal is not None:
+                    signals[name] = signal.in_unit(variables[name], difference=difference)
             except DataError as error:
                 for fault in error.faults:
                     self.errors.add((*place, name, "file"), fault)
@@ -123,7 +134,8 @@ class SelectedSignals:
         ``unit`` is that of what has none of its own, and stands at a place ``of_unit``.
         """
         try:
-            return level_in_unit(variable, level, unit)
+            tabled = self._with_tables(place, level)
+            return None if tabled is None else level_in_unit(variable, tabled, unit)
         except DataError as error:
             for fault in error.faults:
                 self.errors.add((*place, "file"), fault)
@@ -133,6 +145,28 @@ class SelectedSignals:
             for fault in error.faults:
                 self.errors.add((*place, "unit") if getattr(level, "unit", "") else of_unit, fault)
         return None
+
+    def _with_tables(self, place: Place, level: Any) -> Any:
+        """Return a number or a signal with what the plant's resources hold of it; None: that is reported."""
+        if isinstance(level, Sum | Product):
+            parts = [self._with_tables((*place, "parts", i), part) for i, part in enumerate(level.parts)]
+            return None if None in parts else replace(level, parts=tuple(parts))
+        if not isinstance(level, SignalFromResource):
+            return level
+        if level.file not in self.tables.names:
+            what = f'the plant has no "{level.file}" in its resources'
+            self.errors.add((*place, "file"), f"{what}; {did_you_mean(level.file, self.tables.names)}")
+            return None
+        tabled = self.tabled(level)
+        if tabled.table is not None and level.column not in tabled.table.columns:
+            hint = did_you_mean(level.column, tabled.table.columns)
+            self.errors.add((*place, "column"), f'{level.file} has no column "{level.column}"; {hint}')
+            return None
+        return tabled
+
+    def tabled(self, signal: SignalFromResource) -> SignalFromResource:
+        """Return a signal with its table; DataError: the plant has none of that name that can be read."""
+        return replace(signal, table=self.tables.table(signal.file))
 
     def converters(
         self,

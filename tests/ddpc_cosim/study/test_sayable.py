@@ -46,6 +46,7 @@ from ddpc_cosim import (
     Scenario,
     SignalExcitation,
     SignalFromFile,
+    SignalFromResource,
     Sine,
     Steps,
     Study,
@@ -75,6 +76,7 @@ SIGNALS = {
     "ramp": Ramp(0.0, 1.0, 0.0, 1.0, unit="deg"),
     "sine": Sine(1.0, 2.0, 3.0, 4.0, unit="deg"),
     "file": FILE_SIGNAL,
+    "resource": SignalFromResource("a.csv", "b", interpolation="linear", unit="deg"),
 }
 RANDOM = RandomLevels(0.0, 1.0, 0.5, interpolation="linear", unit="deg")
 ACTING = SIGNALS | {
