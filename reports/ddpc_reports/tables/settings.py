@@ -537,8 +537,10 @@ def scenario_effects(
     price_units = {name: price.unit for name, price in (prices or {}).items()}
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
     said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs", "known", "prices"}
-    said |= {"label", "bounds", "recording", *section.effects}
+    said |= {"label", "bounds", "recording", "start_time", *section.effects}
+    start = section.start_time
     return [
+        *([] if start is None else [Effect(f"the run starts at t = {given_time(start)}")]),
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
         *(
             Effect(f"noise of {_plain(name)}, standard deviation {_in_unit(value, units.get(name, ''))}")

@@ -210,6 +210,7 @@ CONTENT: dict[str, Any] = {
     "scenarios": {
         "calm": {
             "label": "Calm",
+            "start_time": 0.5,
             "parameters": {"mass": 1.0},
             "noise": {"angle": 0.01},
             "events": [{"time": 1.0, "parameters": {"damping": 0.3}}],
@@ -230,6 +231,13 @@ CONTENT: dict[str, Any] = {
                         "file": "gusts.csv",
                         "column": "Gust",
                         "time_column": "t",
+                        "interpolation": "linear",
+                        "unit": "deg",
+                    },
+                    {
+                        "kind": "resource",
+                        "file": "tables.csv",
+                        "column": "Wave",
                         "interpolation": "linear",
                         "unit": "deg",
                     },
