@@ -8,7 +8,14 @@ from itertools import islice, product
 from typing import Literal, Self
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.variables import DisplayUnit, Variable, with_display_units, with_nominal, with_start
+from ddpc_cosim.variables import (
+    DisplayUnit,
+    Variable,
+    not_names,
+    with_display_units,
+    with_nominal,
+    with_start,
+)
 from fmu_plants.spelling import did_you_mean
 
 Values = Literal["real", "integer", "boolean", "text", "none"]
@@ -445,6 +452,9 @@ def choose_signals(
     for what, allowed, names in (("input", ("input",), inputs), ("output", _READABLE, outputs)):
         if names is None:
             chosen.append(tuple(default_signals(description, what)))
+            continue
+        if fault := not_names(f"{what}s", names):
+            faults.append(f"{label}: {fault}")
             continue
         chosen_names = []
         for name in names:

@@ -1,6 +1,6 @@
 """Signals and parameters: their names, units, ranges and display units."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -19,6 +19,14 @@ FloatArray = NDArray[np.float64]
 def names(variables: Sequence[Variable]) -> tuple[str, ...]:
     """Return the names of the variables, in order."""
     return tuple(variable.name for variable in variables)
+
+
+def not_names(what: str, given: Any) -> str:
+    """Return why something is not a list of names; empty if it is. A text is not a list of letters."""
+    is_list = isinstance(given, Iterable) and not isinstance(given, str | Iterator)
+    if is_list and all(isinstance(name, str) for name in given):
+        return ""
+    return f'{what} = {given!r} is not possible; needed: a list of names, such as ["y"]'
 
 
 def unknown_names(what: str, given: Iterable[str], known: Sequence[str]) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import setting
-from ddpc_cosim.variables import FloatArray, Variable, names, unit_shown
+from ddpc_cosim.variables import FloatArray, Variable, names, not_names, unit_shown
 from fmu_plants.spelling import did_you_mean
 
 _ELEMENT = re.compile(r"(?P<array>.+)(?P<place>\[\d+(?:,\d+)*\])")
@@ -278,6 +278,9 @@ class Wiring:
         """Return the names of the system's inputs or outputs."""
         if wanted is None:
             return tuple(known)
+        if fault := not_names(f"{what}s", wanted):
+            self._faults.append(fault)
+            return ()
         chosen: dict[str, None] = {}
         arrays = _by_array(known)
         for name in wanted:

@@ -38,6 +38,7 @@ T = TypeVar("T")
 Arguments = TypeVarTuple("Arguments")
 _STEP = -1  # where a message has its length
 _LONGEST_REMARK = 300
+_LARGEST_STATE = LONGEST_REPLY - (1 << 12)  # what else is in a reply is far shorter
 # NumPy and zipfile would import these when they are first used there.
 _PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
 
@@ -309,8 +310,14 @@ class _Service(FMUSession):
         return number
 
     def serialise_state(self) -> Any:
-        """Return the state as numbers."""
-        return _packed(super().serialise_state())
+        """Return the state as numbers; ConfigError: there are more of them than a reply can have."""
+        content = super().serialise_state()
+        if len(content) > _LARGEST_STATE:
+            raise ConfigError(
+                f"{self.fmu.label}: its state has {len(content) / 1e6:.0f} MB as bytes; a process of its own "
+                f"can return {_LARGEST_STATE / 1e6:.0f} MB: open the FMU with isolated = False"
+            )
+        return _packed(content)
 
     def restore_state(self, state: object) -> None:
         """Go back to the state of a number."""

@@ -27,7 +27,13 @@ from ddpc_cosim.errors import CosimError, FMUImportError
 from ddpc_cosim.fmu.archive import is_file_name, unpack
 from ddpc_cosim.fmu.build import compile_sources, has_sources
 from ddpc_cosim.fmu.call_trace import TracedFunction
-from ddpc_cosim.fmu.companions import LoadedCompanions, find_companions, names_old_one, say_nothing
+from ddpc_cosim.fmu.companions import (
+    Companions,
+    LoadedCompanions,
+    find_companions,
+    names_old_one,
+    say_nothing,
+)
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.status import missing_function
@@ -286,16 +292,36 @@ def compile_ahead(path: Path, tell: Callable[[str], object] = say_nothing) -> li
                 return cached_folders
         if not ready and not any(folder.split("/")[0] == "sources" for folder in folders):
             return cached_folders
-        with ScratchFolder() as folder:
-            unpack(path, folder)
-            description = read_description(folder, path.name)
-            for interface in description.interfaces.values():
-                with suppress(FMUImportError):  # another one may do
-                    library, _ = find_library(
-                        folder, description, interface, path.name, tell, cached_folders.append
-                    )
-                    find_companions(library, folder / "resources", (), tell, cached_folders.append)
+        for _ in _companions(path, tell, cached_folders.append):
+            pass
     return cached_folders
+
+
+def stand_ins_of(path: Path) -> dict[str, str]:
+    """Return the stand-ins that are loaded with an FMU, by library: what decides what they do.
+
+    There are none of other files, and of an FMU that cannot be opened, which is told where it is.
+    """
+    with suppress(CosimError, OSError, zipfile.BadZipFile):
+        with zipfile.ZipFile(path) as archive:
+            if not _may_need_stand_in(archive):
+                return {}
+        every = _companions(path, say_nothing, say_nothing)
+        return {name: what for companions in every for name, what in companions.identity.items()}
+    return {}
+
+
+def _companions(
+    path: Path, tell: Callable[[str], object], keep: Callable[[Path], object]
+) -> Iterator[Companions]:
+    """Yield what is loaded with the library of each interface of an FMU; what it needs is compiled."""
+    with ScratchFolder() as folder:
+        unpack(path, folder)
+        description = read_description(folder, path.name)
+        for interface in description.interfaces.values():
+            with suppress(FMUImportError):  # another one may do
+                library, _ = find_library(folder, description, interface, path.name, tell, keep)
+                yield find_companions(library, folder / "resources", (), tell, keep)
 
 
 def _may_need_stand_in(archive: zipfile.ZipFile) -> bool:

@@ -1,7 +1,7 @@
 """What an SSP archive is: its parts, their connections, their order and loops, and what is wrong with it."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from ddpc_cosim.coupling.specification import PartSignals, switches_of_parts
 from ddpc_cosim.coupling.ssp import SSPSystem, read_ssp
 from ddpc_cosim.coupling.wiring import Wiring
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.fmu.companions import say_nothing
 from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.inspection import (
@@ -74,10 +75,13 @@ class SystemInspection:
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
 
-def inspect_ssp(path: Path, library_path: Sequence[str | Path] = ()) -> SystemInspection:
+def inspect_ssp(
+    path: Path, library_path: Sequence[str | Path] = (), tell: Callable[[str], object] = say_nothing
+) -> SystemInspection:
     """Look at an SSP archive; nothing of it is run. Everything that is wrong with it is a defect.
 
-    ``library_path`` has further libraries of its FMUs, as of :class:`ddpc_cosim.FMUPlant`.
+    ``library_path`` has further libraries of its FMUs, as of :class:`ddpc_cosim.FMUPlant`; ``tell`` is called
+    with a line before anything is compiled.
     """
     content = path.read_bytes()
     findings, system = Findings(), None
@@ -89,7 +93,7 @@ def inspect_ssp(path: Path, library_path: Sequence[str | Path] = ()) -> SystemIn
         system = read_ssp(path)
         for warning in system.warnings:
             findings.add(UNDERSTOOD, warning)
-        parts = _inspected(system, findings, library_path)
+        parts = _inspected(system, findings, library_path, tell)
         signals, wiring, graph = _structure(system, parts)
         inputs, outputs, order, loops = wiring.inputs, wiring.outputs, graph.order, graph.loops
         own_inputs, own_outputs = (
@@ -111,14 +115,17 @@ def inspect_ssp(path: Path, library_path: Sequence[str | Path] = ()) -> SystemIn
 
 
 def _inspected(
-    system: SSPSystem, findings: Findings, library_path: Sequence[str | Path]
+    system: SSPSystem,
+    findings: Findings,
+    library_path: Sequence[str | Path],
+    tell: Callable[[str], object],
 ) -> dict[str, Inspection]:
     """Return the description of each part; its faults are noted with its name."""
     known: dict[str, Inspection] = {}
     by_file: dict[str, Inspection] = {}
     for part in system.parts:
         if part.fmu not in by_file:
-            by_file[part.fmu] = inspect_fmu(part.fmu, library_path=library_path)
+            by_file[part.fmu] = inspect_fmu(part.fmu, library_path=library_path, tell=tell)
         known[part.name] = by_file[part.fmu]
         for defect in known[part.name].defects:
             if defect.kind in (NO_INPUTS, NO_OUTPUTS):  # which matters of the whole alone

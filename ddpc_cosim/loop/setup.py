@@ -30,7 +30,7 @@ from ddpc_cosim.signals.signals import (
     Reference,
     SignalFromFile,
 )
-from ddpc_cosim.variables import FloatArray, Variable, names, unknown_names
+from ddpc_cosim.variables import FloatArray, Variable, names, not_names, unknown_names
 
 MOST_STEPS = 100_000_000
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
@@ -598,9 +598,11 @@ def _is_count(value: Any) -> bool:
 
 
 def _chosen(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
-    if isinstance(chosen, str):
-        raise ConfigError(f'{what}: needed: a list of names, got the text "{chosen}"')
-    listed = tuple(chosen or ())
+    if chosen is None:
+        return ()
+    if fault := not_names(what, chosen):
+        raise ConfigError(fault)
+    listed = tuple(chosen)
     twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
     if twice:
         raise ConfigError([f'{what}: "{name}" is listed more than once' for name in twice])

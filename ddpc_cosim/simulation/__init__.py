@@ -5,7 +5,7 @@ to sample, outputs are those at the end of each interval.
 """
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from numbers import Real
@@ -30,7 +30,7 @@ from ddpc_cosim.simulation.state_file import PlantState
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.variables import FloatArray, Variable, not_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -227,7 +227,6 @@ def simulate(
                 for name, moment in (("start", start), ("stop", stop))
             ),
             ("step", step, isinstance(step, Real | None), "a number of seconds"),
-            ("outputs", outputs, _are_names(outputs), 'a list of names, such as ["y"]'),
             ("step_timeout", step_timeout, isinstance(step_timeout, Real), "a number of seconds"),
             *(
                 (name, path, isinstance(path, str | Path | None), "the name of a file")
@@ -241,6 +240,8 @@ def simulate(
         )
         if not fits
     ]
+    if outputs is not None and (fault := not_names("outputs", outputs)):
+        faults.append(fault)
     moments = list[float | None]()
     for name, moment in (("start", start), ("stop", stop)):
         try:
@@ -282,12 +283,6 @@ def simulate(
 
 def _are_signals(inputs: object) -> bool:
     return isinstance(inputs, str | Path | None) or hasattr(inputs, "to_csv")
-
-
-def _are_names(outputs: Any) -> bool:
-    """Whether something is a list of names, or None; a text does not count as a list of letters."""
-    is_list = isinstance(outputs, Iterable) and not isinstance(outputs, str)
-    return outputs is None or (is_list and all(isinstance(name, str) for name in outputs))
 
 
 def _input_file(inputs: "pd.DataFrame | str | Path") -> CSVFile:

@@ -39,7 +39,7 @@ from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import Band, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
-from ddpc_cosim.study.plants import PlantSpec, content_of_plant
+from ddpc_cosim.study.plants import PlantSpec, content_of_plant, stand_ins_of_file
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
@@ -363,11 +363,16 @@ def _words(study: "Study", problem: str, controller: str, scenario: str) -> tupl
 
 def _code_and_files(case: Case) -> dict[str, Any]:
     """Return what decides the result of all cases of a controller besides its settings."""
-    return {
+    files = _files(case)
+    decisive: dict[str, Any] = {
         "code": [code_version(kind) for kind in types_in(_sections(case))],
-        "files": [[hash_of_file(path) for path in paths] for paths in _files(case)],
+        "files": [[hash_of_file(path) for path in paths] for paths in files],
         "plants": [content_of_plant(name) for name in _plants(case) if name],
     }
+    # Ids of other cases do not know of them.
+    if stand_ins := [found for paths in files for path in paths if (found := stand_ins_of_file(path))]:
+        decisive["stand_ins"] = stand_ins
+    return decisive
 
 
 def _sections(case: Case) -> list[dict[str, Any]]:

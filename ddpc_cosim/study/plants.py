@@ -4,10 +4,11 @@ import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Self, cast
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from ddpc_cosim.loop.safe_calls import (
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant, library_path_faults
 from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
 from ddpc_cosim.processes.scratch import scratch_of_cases
+from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.variables import (
     FloatArray,
     Variable,
@@ -427,6 +429,21 @@ def content_of_plant(name: str) -> str:
         return PlantSpec(name, "").built().content
     except CosimError as error:
         return str(error)
+
+
+def stand_ins_of_file(path: str) -> Mapping[str, str]:
+    """Return what stands in for libraries that an FMU of a setting needs, by library; none of other files."""
+    return _stand_ins(path, hash_of_file(path))
+
+
+@lru_cache(maxsize=64)
+def _stand_ins(path: str, _: str) -> Mapping[str, str]:
+    """Return those of a file with this hash: one reading serves all cases."""
+    if not is_zipfile(path):
+        return {}
+    from ddpc_cosim.fmu.library import stand_ins_of  # with all that runs FMUs
+
+    return stand_ins_of(Path(path))
 
 
 def _build(model: Any) -> Path:

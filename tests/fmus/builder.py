@@ -67,6 +67,7 @@ class Fault(IntEnum):
     FLUSH_DENORMALS = auto()
     EVENTS_WITHOUT_END = auto()
     FORGETS_IN_SET_UP = auto()
+    LARGE_STATE = auto()
 
 
 @dataclass(frozen=True)

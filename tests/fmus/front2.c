@@ -162,12 +162,13 @@ EXPORT int fmi2GetDirectionalDerivative(void *c, const unsigned z[], size_t nz, 
 #ifdef KEEPING
 EXPORT int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size)
 {
-    *size = sizeof(Model);
+    *size = state_size(state);
     return 0;
 }
 EXPORT int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size)
 {
-    memcpy(bytes, state, size);
+    memset(bytes, 0, size);
+    memcpy(bytes, state, sizeof(Model));
     return 0;
 }
 EXPORT int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state)

@@ -177,12 +177,13 @@ EXPORT int fmi3FreeFMUState(void *c, void **state)
 #ifdef KEEPING
 EXPORT int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size)
 {
-    *size = sizeof(Model);
+    *size = state_size(state);
     return 0;
 }
 EXPORT int fmi3SerializeFMUState(void *c, void *state, unsigned char bytes[], size_t size)
 {
-    memcpy(bytes, state, size);
+    memset(bytes, 0, size);
+    memcpy(bytes, state, sizeof(Model));
     return 0;
 }
 EXPORT int fmi3DeserializeFMUState(void *c, const unsigned char bytes[], size_t size, void **state)

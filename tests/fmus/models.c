@@ -412,6 +412,12 @@ void restore(Model *m, const void *state)
     m->logging = logging;
 }
 
+/* As bytes; a large one is followed by zeros. */
+size_t state_size(const Model *m)
+{
+    return sizeof *m + (m->values[FAULT] == LARGE_STATE ? (size_t)1 << 27 : 0);
+}
+
 int deserialised(const Model *m, const void *bytes, size_t size, void **state)
 {
     if (size != sizeof *m || ((const Model *)bytes)->kind != m->kind) {

@@ -68,6 +68,7 @@ typedef enum {
     FLUSH_DENORMALS, /* of Model Exchange, these three: when derivatives are asked for */
     EVENTS_WITHOUT_END, /* of STAIR */
     FORGETS_IN_SET_UP, /* fmi2SetupExperiment sets everything to its start value, as that of 20-sim's FMUs */
+    LARGE_STATE, /* which has 128 MB as bytes */
 } Fault;
 
 /* What FEED passes through: reference r + 100 becomes what reference r is. References 20 to 29 are arrays whose
@@ -116,6 +117,7 @@ int ends_after_step(const Model *m);
 /* Copies of an instance, which are its states: all but whom it tells its messages. */
 void *saved(const Model *m);
 void restore(Model *m, const void *state);
+size_t state_size(const Model *m);
 int deserialised(const Model *m, const void *bytes, size_t size, void **state);
 
 size_t feed_length(const Model *m, unsigned reference);

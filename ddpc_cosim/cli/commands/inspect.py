@@ -26,10 +26,11 @@ def inspect(
     from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
 
     is_system = fmu.suffix.lower() == ".ssp"
+    tell = partial(say, err=True)
     inspection = (
-        systems.inspect_ssp(fmu, library_path)
+        systems.inspect_ssp(fmu, library_path, tell)
         if is_system
-        else inspect_fmu(fmu, strict=strict, library_path=library_path, tell=partial(say, err=True))
+        else inspect_fmu(fmu, strict=strict, library_path=library_path, tell=tell)
     )
     if as_json:
         data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)

@@ -128,6 +128,7 @@ def test_all_faults_are_told_at_once() -> None:
         ({"steps": {"thrid": 0.1}}, 'steps: no part "thrid"'),
         ({"inputs": ["second.u"]}, 'input "second.u" follows "first.y"'),
         ({"outputs": ["first.w"]}, 'output "first.w" is no output of the system'),
+        ({"outputs": [1]}, r"outputs = \[1\] is not possible; needed: a list of names"),
         ({"error_tolerance": 1e-3, "steps": {"first": 0.1}}, "it chooses the steps"),
     ],
 )

@@ -5,18 +5,22 @@ import hashlib
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fmus.builder import LAG, describe, write_fmu
+from fmus.builder import LAG, describe, model_library, write_fmu
 from fmus.fortran import OF_GCC_7, OLD, USUAL, link
 from hypothesis import given, strategies as st
+from studies import PENDULUM, cases_in, study_text, write
 
 from ddpc_cosim.errors import CosimWarning, FMUImportError
 from ddpc_cosim.fmu.companions import missing_for_good
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.fmu.stand_ins import STAND_INS
 from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.study import plants
+from ddpc_cosim.study.cases import Case, _code_and_files
 from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants.export.binaries import WantedSymbol
 from fmu_plants.export.compiler import find_compiler
@@ -32,6 +36,21 @@ def places_of(path: Path, kind: str) -> str:
     return "; ".join(
         place for defect in inspect_fmu(path).defects if defect.kind.name == kind for place in defect.places
     )
+
+
+def naming_case(folder: Path) -> Case:
+    """Return a case whose plant is another one, and whose controller names the FMU of a folder."""
+    held = "tests.ddpc_cosim.study.test_setting_files:Held"
+    settings = {"source": {"path": "lag.fmu"}}
+    controllers = {"held": {"type": held, "settings": settings}}
+    text = study_text(
+        plant=PENDULUM,
+        reference={PENDULUM["outputs"][0]: 0.0},
+        controllers=controllers,
+        loop={"duration": 0.5},
+    )
+    (case,) = cases_in(write(folder, text))
+    return case
 
 
 def refusal_of(path: Path) -> str:
@@ -68,6 +87,32 @@ def test_its_source_is_part_of_a_cases_id_where_it_is_used(tmp_path: Path) -> No
     built = PlantSpec("", str(path)).built()
     assert built.content == f"{hashed} {OLD} stand-in {STAND_INS[OLD].digest}"
     assert built.files == (str(path),)
+
+
+def test_so_it_is_where_a_setting_of_a_controller_names_the_fmu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lag_fmu(tmp_path, link(tmp_path, USUAL))
+    stand_in = STAND_INS[OLD]
+    other = replace(
+        stand_in, functions={**stand_in.functions, "GFORTRAN_9": {"more": "void _gfortran_more(void) {}\n"}}
+    )
+    before = naming_case(tmp_path).id
+    assert naming_case(tmp_path).id == before
+    plants._stand_ins.cache_clear()
+    monkeypatch.setitem(STAND_INS, OLD, other)
+    after = _code_and_files(naming_case(tmp_path))
+    assert after["stand_ins"] == [{OLD: f"stand-in {other.digest}"}]
+    assert naming_case(tmp_path).id != before
+
+
+def test_ids_of_cases_without_one_do_not_know_of_it(tmp_path: Path) -> None:
+    write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", LAG), model_library("2.0"))
+    assert _code_and_files(naming_case(tmp_path)).keys() == {
+        "code",
+        "files",
+        "plants",
+    }
 
 
 @pytest.mark.parametrize(

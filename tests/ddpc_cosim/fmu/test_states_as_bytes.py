@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmus.builder import keeping_fmu
+from fmus.builder import Fault, keeping_fmu
 
 from ddpc_cosim import ConfigError, FMUPlant, FMUStepError
 from ddpc_cosim.files.plain_data import from_bytes, to_bytes
@@ -71,6 +71,20 @@ def test_it_leaves_and_enters_processes(tmp_path: Path, version: str, there: str
         last = rows(first, FORCES[:7])[-1]
         np.testing.assert_array_equal(second.deserialise_state(first.serialise_state()), last)
         np.testing.assert_array_equal(rows(second, FORCES[7:]), rows(first, FORCES[7:]))
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_one_that_no_process_can_return_is_refused_in_words_and_the_run_goes_on(
+    tmp_path: Path, version: str
+) -> None:
+    path = keeping_fmu(tmp_path, version, "lag", fault=Fault.LARGE_STATE)
+    with FMUPlant(path, isolated=True) as isolated, FMUPlant(path) as plant:
+        for each in (isolated, plant):
+            each.reset()
+        with pytest.raises(ConfigError, match=r"has 179 MB as bytes.* can return 134 MB: .*isolated = False"):
+            isolated.serialise_state()
+        assert len(plant.serialise_state()) > 1 << 27
+        np.testing.assert_array_equal(rows(isolated, FORCES), rows(plant, FORCES))
 
 
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])

@@ -192,6 +192,8 @@ def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) 
         (["M[3,1]"], 'no input "M[3,1]"; did you mean "M[2,1]"?'),
         (["M[1]"], 'no input "M[1]"'),
         (["real in", "real in"], 'input "real in" is chosen twice'),
+        ([1], "inputs = [1] is not possible; needed: a list of names"),
+        ("real in", "inputs = 'real in' is not possible; needed: a list of names"),
         (["real out"], 'no input "real out"'),
     ],
 )

@@ -1,11 +1,13 @@
 """FMUs that come as C sources only: an inspection compiles them, and says what they lack."""
 
+import zipfile
 from pathlib import Path
 
 import pytest
 from fmus.builder import CO_SIMULATION, HERE, LAG, describe, write_fmu
 
 from ddpc_cosim.inspection import Inspection, inspect_fmu
+from ddpc_cosim.inspection.systems import inspect_ssp
 
 
 def inspected(tmp_path: Path, **files: str) -> Inspection:
@@ -75,4 +77,22 @@ def test_what_is_compiled_is_said_once(tmp_path: Path, monkeypatch: pytest.Monke
     lines = list[str]()
     for _ in range(2):
         inspect_fmu(tmp_path / "lag.fmu", tell=lines.append)
+    assert lines == ["compiling the C sources of lag.fmu"]
+
+
+def test_so_it_is_of_a_part_of_an_ssp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inspected(tmp_path, **complete())
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "another"))
+    part = '<ssd:Component name="part" source="resources/lag.fmu"/>'
+    with zipfile.ZipFile(tmp_path / "system.ssp", "w") as archive:
+        archive.write(tmp_path / "lag.fmu", "resources/lag.fmu")
+        archive.writestr(
+            "SystemStructure.ssd",
+            '<ssd:SystemStructureDescription xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"'
+            f' version="1.0" name="test"><ssd:System name="test"><ssd:Elements>{part}</ssd:Elements>'
+            "</ssd:System></ssd:SystemStructureDescription>",
+        )
+    lines = list[str]()
+    for _ in range(2):
+        assert inspect_ssp(tmp_path / "system.ssp", tell=lines.append).parts["part"].can_run
     assert lines == ["compiling the C sources of lag.fmu"]

@@ -189,7 +189,8 @@ def test_an_error_of_the_start_is_raised() -> None:
         ({"start_time": 1e17}, ["start_time = 1e+17 is too large: samples 0.5 s apart coincide there"]),
         ({"seed": -1}, ["seed = -1 is not possible; allowed: an integer >= 0"]),
         ({"seed": 0.5}, ["seed = 0.5 is not possible"]),
-        ({"outputs": "a"}, ['outputs: needed: a list of names, got the text "a"']),
+        ({"outputs": "a"}, ["outputs = 'a' is not possible; needed: a list of names"]),
+        ({"outputs": [1]}, ["outputs = [1] is not possible; needed: a list of names"]),
         ({"outputs": ["a", "a"]}, ['outputs: "a" is listed more than once']),
         ({"measurements": ["a", "b", "a"]}, ['measurements: "a" is listed more than once']),
         (

@@ -268,9 +268,9 @@ def test_arguments_of_wrong_types_are_named_all_at_once() -> None:
         "start": [1],
         "stop": {3},
         "step": "x",
-        "outputs": "y",
         "step_timeout": None,
         "trace_calls": 1,
+        "outputs": "y",
     }
     with pytest.raises(ConfigError) as caught:
         simulate("pendulum", **wrong)
