@@ -1,21 +1,33 @@
 """A plant written once: its variables, the right-hand side of its differential equations, their checks.
 
+A plant may read tables over time, weather for one, and have a sampled control of its own, which whoever
+drives the plant overrides.
+
 Nothing here needs SymPy, so that a plant's variables can be read without the cost of its import; the
 equations are a function that is called with symbols when the plant is exported.
 """
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import inf, isfinite, isnan
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from fmu_plants.spelling import did_you_mean
 from fmu_plants.texts import encodable, printable
 from fmu_plants.units import DisplayUnit, parse_unit
 
+if TYPE_CHECKING:
+    # NumPy takes long to import, and only tables need it.
+    import numpy as np
+    from numpy.typing import NDArray
+
 TIME = "time"
+DEFAULT_TOLERANCE = 1e-10
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_HEAD = re.compile(r"[^\s,\"](?:[^,\"\r\n]*[^\s,\"])?")
 
 
 def identifier(text: str) -> str:
@@ -133,6 +145,140 @@ tunable = partial(Parameter, variability="tunable")
 
 
 @dataclass(frozen=True, kw_only=True)
+class InputTable:
+    """Values over time that a plant reads from a file in its FMU's resources: weather, occupancy, prices.
+
+    Whoever has the FMU may exchange the file: a CSV file with the time in s in its first column, called
+    ``time``, and at least the columns here. It is read at instantiation.
+
+    Parameters
+    ----------
+    file : str
+        Its name below ``resources``.
+    variables : tuple of Variable
+        The columns that the plant reads; the equations and the control have a symbol for each.
+    headers : mapping of str to str
+        Heads of columns that are not called like their variables, by variable.
+    values : callable
+        Returns times, shape (n,) [s], strictly increasing, and values, shape (n, columns), in the order and
+        the units of the variables. Called when they are needed, at export for one.
+    interpolation : {"linear", "hold"}
+        Between two rows: in a straight line, or as in the row before.
+    period : float, optional
+        Time [s] after which the rows come again, at least as long as they last; where it is longer, the last
+        row is followed by the first. None: before and after the rows, the first and the last one are held.
+    """
+
+    file: str
+    variables: tuple[Variable, ...]
+    values: "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]"
+    headers: Mapping[str, str] = field(default_factory=dict)
+    interpolation: Literal["linear", "hold"] = "linear"
+    period: float | None = None
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """The head of each column in the file."""
+        return tuple(self.headers.get(variable.name, variable.name) for variable in self.variables)
+
+    def text(self) -> str:
+        """Return the text of the file.
+
+        Raises
+        ------
+        ModelError
+            The values are not a table: all errors at once.
+        """
+        times, rows = self.values()
+        if errors := list(_table_errors(self, times, rows)):
+            raise ModelError.listing(self.file, errors)
+        lines = [",".join((TIME, *self.heads))]
+        lines += [
+            ",".join(map(repr, (time, *row))) for time, row in zip(times.tolist(), rows.tolist(), strict=True)
+        ]
+        return "\n".join([*lines, ""])
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What an embedded control decides at one instant, in SymPy expressions.
+
+    Parameters
+    ----------
+    actuators : mapping of str to expression
+        What it commands until its next instant, by actuator.
+    memory : mapping of str to expression
+        What it remembers until then, by variable of its memory.
+    """
+
+    actuators: Mapping[str, Any]
+    memory: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmbeddedControl:
+    """A sampled control inside a plant: it commands actuators at instants, wherever these are not overridden.
+
+    Its first instant is the start of a run, the others follow at equal distances. At an instant it sees the
+    plant as it is then: outputs that actuators act on without delay, with what acted until then. Nothing is
+    saturated: the rules keep to the limits of the actuators.
+
+    Each actuator ``A`` gives the FMU two inputs, as in BOPTEST: ``oveA_u``, and ``oveA_activate``, where
+    ``oveA_u`` acts instead of the control if that is 1.
+
+    Parameters
+    ----------
+    sampling_time : float
+        Between two instants, s.
+    actuators : tuple of Variable
+        What it commands, with limits; the plant's equations have a symbol for each. `start` is what the
+        first instant takes to have acted before.
+    rules : callable
+        Gets the symbols of the memory, the states, all outputs, inputs, columns of tables and parameters,
+        and `time`; returns `Rules`. Called at export only.
+    memory : tuple of Variable
+        What it remembers from instant to instant, with start values: hysteresis, integrators.
+    """
+
+    sampling_time: float
+    actuators: tuple[Variable, ...]
+    rules: Callable[[Symbols], Rules]
+    memory: tuple[Variable, ...] = ()
+
+    @property
+    def overrides(self) -> tuple[Variable, ...]:
+        """The inputs of the FMU that act instead of it: for each actuator its override, then its switch."""
+        return tuple(
+            variable
+            for actuator in self.actuators
+            for variable in (
+                replace(
+                    actuator,
+                    name=override_name(actuator.name),
+                    description=f"Override of {actuator.name}: {actuator.description or actuator.name}",
+                ),
+                Variable(
+                    switch_name(actuator.name),
+                    "1",
+                    0.0,
+                    1.0,
+                    description=f"1: {override_name(actuator.name)} acts instead of the embedded control",
+                ),
+            )
+        )
+
+
+def override_name(actuator: str) -> str:
+    """Return the name of the input that overrides an actuator of an embedded control."""
+    return f"ove{actuator}_u"
+
+
+def switch_name(actuator: str) -> str:
+    """Return the name of the input that switches the override of an actuator on."""
+    return f"ove{actuator}_activate"
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlantModel:
     """A plant: its variables, its equations, and where they come from.
 
@@ -153,6 +299,15 @@ class PlantModel:
         can be imported inside.
     step_size, stop_time : float
         Suggested communication step size and duration, s.
+    tables : tuple of InputTable
+        What the plant reads over time.
+    control : EmbeddedControl, optional
+        Its own control.
+    resources : mapping of str to str or callable
+        Further text files of the FMU's resources by name; a callable returns the text at export.
+    relative_tolerance, absolute_tolerance : float
+        Of the integrator, where no others are asked for; the absolute one is in units of the nominal value
+        of each state.
 
     Raises
     ------
@@ -170,10 +325,16 @@ class PlantModel:
     source: str = ""
     step_size: float = 0.1
     stop_time: float = 10.0
+    tables: tuple[InputTable, ...] = ()
+    control: EmbeddedControl | None = None
+    resources: Mapping[str, str | Callable[[], str]] = field(default_factory=dict)
+    relative_tolerance: float = DEFAULT_TOLERANCE
+    absolute_tolerance: float = DEFAULT_TOLERANCE
 
     def __post_init__(self) -> None:
         """Refuse a model that contradicts itself."""
         errors = [*_structure_errors(self), *_name_errors(self), *_variable_errors(self)]
+        errors += [*_resource_errors(self), *_control_errors(self)]
         if errors:
             raise ModelError.listing(self.name, errors)
 
@@ -182,6 +343,44 @@ class PlantModel:
         """The outputs that are not themselves states."""
         states = {state.name for state in self.states}
         return tuple(output for output in self.outputs if output.name not in states)
+
+    @property
+    def actuators(self) -> tuple[Variable, ...]:
+        """What the embedded control commands."""
+        return self.control.actuators if self.control else ()
+
+    @property
+    def memory(self) -> tuple[Variable, ...]:
+        """What the embedded control remembers."""
+        return self.control.memory if self.control else ()
+
+    @property
+    def columns(self) -> tuple[Variable, ...]:
+        """The columns of all tables."""
+        return tuple(variable for table in self.tables for variable in table.variables)
+
+    @property
+    def all_inputs(self) -> tuple[Variable, ...]:
+        """The inputs of the FMU: those of the equations, then the overrides of the embedded control."""
+        return (*self.inputs, *(self.control.overrides if self.control else ()))
+
+    @property
+    def has_events(self) -> bool:
+        """Whether something happens at given times: the rows of tables, or the instants of a control."""
+        return bool(self.tables) or self.control is not None
+
+    def resource_files(self) -> dict[str, str]:
+        """Return the texts of all files in the FMU's resources, by name.
+
+        Raises
+        ------
+        ModelError
+            The values of a table are none.
+        """
+        texts = {table.file: table.text() for table in self.tables}
+        return texts | {
+            name: text if isinstance(text, str) else text() for name, text in self.resources.items()
+        }
 
 
 def derivative_name(state: str) -> str:
@@ -196,8 +395,8 @@ def _structure_errors(model: PlantModel) -> Iterator[str]:
         yield "it has no outputs"
     if not callable(model.equations):
         yield "equations must be a function of the symbols"
-    for name, value in {"step_size": model.step_size, "stop_time": model.stop_time}.items():
-        if not _is_positive(value):
+    for name in ("step_size", "stop_time", "relative_tolerance", "absolute_tolerance"):
+        if not _is_positive(value := getattr(model, name)):
             yield f"{name} must be positive and finite, not {value}"
 
 
@@ -208,6 +407,10 @@ def _name_errors(model: PlantModel) -> Iterator[str]:
         "input": model.inputs,
         "output": model.outputs,
         "parameter": model.parameters,
+        "column": model.columns,
+        "memory": model.memory,
+        "actuator": model.actuators,
+        "override": model.control.overrides if model.control else (),
     }
     seen: dict[str, str] = {}
     for group, variables in groups.items():
@@ -225,7 +428,8 @@ def _name_errors(model: PlantModel) -> Iterator[str]:
 
 def _variable_errors(model: PlantModel) -> Iterator[str]:
     computed = set(model.computed_outputs)
-    variables = dict.fromkeys((*model.states, *model.inputs, *model.outputs, *model.parameters))
+    known = (*model.states, *model.inputs, *model.outputs, *model.parameters)
+    variables = dict.fromkeys((*known, *model.columns, *model.memory, *model.actuators))
     display_units: dict[tuple[str, str], DisplayUnit] = {}
     for variable in variables:
         where = f"variable {variable.name!r}"
@@ -243,6 +447,70 @@ def _variable_errors(model: PlantModel) -> Iterator[str]:
             continue
         if display_units.setdefault((variable.unit, display.name), display) != display:
             yield f"{where}: display unit {display.name!r} is converted differently elsewhere"
+
+
+def _resource_errors(model: PlantModel) -> Iterator[str]:
+    files = [*(table.file for table in model.tables), *model.resources]
+    for name in dict.fromkeys(files):
+        if not _FILE_NAME.fullmatch(name):
+            yield f"resource {name!r}: the file name may have letters, digits, '_', '-' and '.' only"
+        if files.count(name) > 1:
+            yield f"resource {name!r}: there are {files.count(name)} files of this name"
+    for table in model.tables:
+        for message in _column_errors(table):
+            yield f"table {table.file!r}: {message}"
+
+
+def _column_errors(table: InputTable) -> Iterator[str]:
+    names = [variable.name for variable in table.variables]
+    if not names:
+        yield "it has no columns"
+    if not callable(table.values):
+        yield "values must be a function that returns times and rows"
+    if table.interpolation not in ("linear", "hold"):
+        yield f"interpolation must be 'linear' or 'hold', not {table.interpolation!r}"
+    if table.period is not None and not _is_positive(table.period):
+        yield f"period must be positive and finite, not {table.period}"
+    for name in table.headers:
+        if name not in names:
+            yield f"headers: it has no column {name!r}; {did_you_mean(name, names)}"
+    for head in dict.fromkeys((TIME, *table.heads)):
+        if not _HEAD.fullmatch(head):
+            yield f"head {head!r}: quotation marks, commas, line breaks and blanks at its ends are refused"
+        if (TIME, *table.heads).count(head) > 1:
+            yield f"head {head!r} stands over more than one column"
+
+
+def _table_errors(table: InputTable, times: Any, rows: Any) -> Iterator[str]:
+    # Here and not above: plants without tables do not need it.
+    import numpy as np
+
+    shapes = np.shape(times), np.shape(rows)
+    if len(shapes[0]) != 1 or not shapes[0][0] or shapes[1] != (shapes[0][0], len(table.variables)):
+        columns = len(table.variables)
+        wanted = f"times, shape (n,), and rows, shape (n, {columns})"
+        yield f"values must be {wanted}, not {shapes[0]} and {shapes[1]}"
+        return
+    if not (np.isfinite(times).all() and np.isfinite(rows).all()):
+        yield "times and values must be finite"
+    elif not (np.diff(times) > 0).all():
+        yield "times must increase strictly"
+    elif table.period is not None and times[-1] - times[0] > table.period:
+        yield f"its rows last {times[-1] - times[0]:g} s, longer than its period of {table.period:g} s"
+
+
+def _control_errors(model: PlantModel) -> Iterator[str]:
+    if (control := model.control) is None:
+        return
+    if not _is_positive(control.sampling_time):
+        yield f"control: sampling_time must be positive and finite, not {control.sampling_time}"
+    if not callable(control.rules):
+        yield "control: rules must be a function of the symbols"
+    if not control.actuators:
+        yield "control: it has no actuators"
+    for actuator in control.actuators:
+        if not (isfinite(actuator.min) and isfinite(actuator.max)):
+            yield f"control: actuator {actuator.name!r} needs finite min and max"
 
 
 def _value_errors(variable: Variable, *, has_start: bool) -> Iterator[str]:

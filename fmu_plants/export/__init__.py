@@ -21,10 +21,11 @@ from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.files import cached, write_atomically, zip_bytes
 from fmu_plants.model import ExportError, ExportUsageError, PlantModel, identifier
 
-DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
 _RUNTIME = ("model.h", "simulation.h", "instance.h", "instance.c")
 _INTEGRATION = ("dopri54.h", "dopri54.c", "integration.h", "integration.c", "interfaces.c")
+_DOPRI54 = ("dopri54.h", "dopri54.c", "interfaces.c")
+_EVENTS = ("integration.h", "integration.c", "tables.h", "tables.c", "resources.h", "resources.c")
 _SAMPLED = ("sampled_block.h", "sampled_block.c")
 _FRONT_ENDS = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
 _HEADERS = {
@@ -75,11 +76,13 @@ def export_fmu(
     fmi_version: str = "2.0",
     *,
     platforms: str | Sequence[str] | None = None,
-    relative_tolerance: float = DEFAULT_TOLERANCE,
-    absolute_tolerance: float = DEFAULT_TOLERANCE,
+    relative_tolerance: float | None = None,
+    absolute_tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write a plant as a standalone FMU for Co-Simulation and Model Exchange.
+
+    One that reads tables or has a control of its own is for Co-Simulation only: it meets their events itself.
 
     Parameters
     ----------
@@ -93,8 +96,9 @@ def export_fmu(
         ``"all"``, or some of linux-x86_64, linux-arm64, windows-x86_64, macos-x86_64 and macos-arm64, which
         the Python package ziglang compiles for; by default this platform only, with the compiler at hand, and
         with the sources, from which importers on other platforms can compile the library.
-    relative_tolerance, absolute_tolerance : float
-        Defaults of the integrator; the absolute one is in units of the nominal value of each state.
+    relative_tolerance, absolute_tolerance : float, optional
+        Defaults of the integrator, by default the model's; the absolute one is in units of the nominal value
+        of each state.
     progress : callable, optional
         Is told in words how far a build for several platforms is.
 
@@ -167,8 +171,8 @@ def build_fmu(
     model: PlantModel,
     fmi_version: str = "2.0",
     *,
-    relative_tolerance: float = DEFAULT_TOLERANCE,
-    absolute_tolerance: float = DEFAULT_TOLERANCE,
+    relative_tolerance: float | None = None,
+    absolute_tolerance: float | None = None,
 ) -> Path:
     """Return the plant's FMU for this platform from the user's cache folder; compile it if it is new there.
 
@@ -188,8 +192,8 @@ def build_fmu(
 def fmu_source(
     model: PlantModel,
     fmi_version: str,
-    relative_tolerance: float,
-    absolute_tolerance: float,
+    relative_tolerance: float | None,
+    absolute_tolerance: float | None,
     *,
     with_sources: bool = True,
 ) -> FMUSource:
@@ -198,15 +202,36 @@ def fmu_source(
     from fmu_plants.equations import resolve
     from fmu_plants.export.ccode import model_source
 
-    tolerances = (relative_tolerance, absolute_tolerance)
+    given = (relative_tolerance, absolute_tolerance)
+    usual = (model.relative_tolerance, model.absolute_tolerance)
+    tolerances = [other if one is None else one for one, other in zip(given, usual, strict=True)]
     for name, value in zip(("relative_tolerance", "absolute_tolerance"), tolerances, strict=True):
         if not (isfinite(value) and value > 0):
             raise ExportUsageError(f"{name} must be positive and finite, not {value}")
     symbolic = resolve(model)
-    contents = plant_contents(model, symbolic.dependencies(), relative_tolerance)
+    contents = plant_contents(model, symbolic.dependencies(), tolerances[0])
     code = model_source(model, symbolic, *tolerances)
     packed = None if with_sources else frozenset[str]()
-    return _fmu_source(fmi_version, contents, code, _runtime(*_INTEGRATION), packed=packed)
+    return _fmu_source(
+        fmi_version,
+        contents,
+        code,
+        _with_events(fmi_version) if model.has_events else _runtime(*_INTEGRATION),
+        packed=packed,
+        resources=model.resource_files(),
+    )
+
+
+def _with_events(fmi_version: str) -> dict[str, str]:
+    """Return the files of the C side of plants with events, of which some have the place of others.
+
+    The front end is one that includes the other: it hands on where the resources are.
+    """
+    runtime = package_files("fmu_plants") / "runtime"
+    front_end = _FRONT_ENDS[_known(fmi_version)]
+    files = {name: (runtime / "events" / name).read_text(encoding="utf-8") for name in (*_EVENTS, front_end)}
+    included = front_end.replace(".c", "_functions.h")
+    return _runtime(*_DOPRI54) | files | {included: (runtime / front_end).read_text(encoding="utf-8")}
 
 
 def _runtime(*names: str) -> dict[str, str]:
@@ -229,11 +254,9 @@ def _fmu_source(
 
     ``packed`` are the sources that are part of it; None: all, from which importers can compile it.
     """
-    if fmi_version not in _FRONT_ENDS:
-        available = ", ".join(FMI_VERSIONS)
-        raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
-    front_end = (package_files("fmu_plants") / "runtime" / _FRONT_ENDS[fmi_version]).read_text("utf-8")
-    others = {**sources, _FRONT_ENDS[fmi_version]: front_end}
+    front_end = _FRONT_ENDS[_known(fmi_version)]
+    text = (package_files("fmu_plants") / "runtime" / front_end).read_text(encoding="utf-8")
+    others = {front_end: text, **sources}
     texts = {f"resources/{name}": text for name, text in resources.items()}
 
     # The code of the model is the same but for the GUID in it, which its own text decides on.
@@ -248,6 +271,14 @@ def _fmu_source(
     all_texts = {**without_guid.descriptions, **without_guid.sources}
     digest = _digest([text for item in sorted(all_texts.items()) for text in item])
     return described(guid=f"{{{uuid.UUID(digest[:32])}}}")
+
+
+def _known(fmi_version: str) -> str:
+    """Return a version that there is."""
+    if fmi_version not in _FRONT_ENDS:
+        available = ", ".join(FMI_VERSIONS)
+        raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
+    return fmi_version
 
 
 def _plant(model: PlantModel | Any, path: Path) -> PlantModel:

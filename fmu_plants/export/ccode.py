@@ -10,8 +10,8 @@ from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
 
 from fmu_plants.equations import Partial, SymbolicModel
-from fmu_plants.export.description import Scalar, c_number, scalars, variable_table
-from fmu_plants.model import TIME, ModelError, PlantModel
+from fmu_plants.export.description import Scalar, c_number, c_text, scalars, variable_table
+from fmu_plants.model import TIME, InputTable, ModelError, PlantModel, Variable
 
 LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
 _INLINE_FUNCTIONS = frozenset({"ceil", "fabs", "floor", "fma", "fmax", "fmin"})  # few instructions, no import
@@ -86,10 +86,18 @@ def model_source(
     """
     layout = scalars(model)
     elements = symbolic.partials()
+    functions = {
+        "derivatives": symbolic.derivatives,
+        "outputs": symbolic.outputs,
+        "jacobian": {f"d {e.unknown} / d {e.known}": e.expression for e in elements},
+    }
+    if model.control:
+        functions["control"] = {f"rule of {name}": rule for name, rule in symbolic.rules.items()}
+    named = [f"    .{name} = {name}," for name in functions]
     return "\n".join(
         [
             f"/* {model.name}: generated from its equations. */",
-            '#include "model.h"',
+            '#include "integration.h"' if model.has_events else '#include "model.h"',
             "",
             "#include <math.h>",
             "",
@@ -97,31 +105,55 @@ def model_source(
             "",
             *_partial_table(elements, layout),
             *_legend(model),
-            _function(model, "derivatives", symbolic.derivatives),
-            "",
-            _function(model, "outputs", symbolic.outputs),
-            "",
-            _function(model, "jacobian", {f"d {e.unknown} / d {e.known}": e.expression for e in elements}),
-            "",
+            *(line for name, results in functions.items() for line in (_function(model, name, results), "")),
+            *(_events(model, named) if model.has_events else ()),
             "const Model model = {",
             f'    .identifier = "{model.name}",',
             '    .guid = "",',
             f"    .n_variables = {len(layout)},",
             f"    .n_states = {len(model.states)},",
-            f"    .n_inputs = {len(model.inputs)},",
+            f"    .n_inputs = {len(model.all_inputs)},",
             f"    .n_outputs = {len(model.computed_outputs)},",
             f"    .n_partials = {len(elements)},",
             "    .variables = variables,",
             f"    .partials = {'partials' if elements else '0'},",
             f"    .relative_tolerance = {c_number(relative_tolerance)},",
             f"    .absolute_tolerance = {c_number(absolute_tolerance)},",
-            "    .derivatives = derivatives,",
-            "    .outputs = outputs,",
-            "    .jacobian = jacobian,",
+            *(() if model.has_events else named),
             "};",
             "",
         ]
     )
+
+
+def _events(model: PlantModel, functions: Sequence[str]) -> list[str]:
+    """Return the tables of a plant, and the description of what else a plant with events has."""
+    heads = [
+        f"static const char *const heads_{number}[] = {{{', '.join(map(c_text, table.heads))}}};"
+        for number, table in enumerate(model.tables)
+    ]
+    sources = [_table_source(number, table) for number, table in enumerate(model.tables)]
+    tables = [*heads, "static const TableSource tables[] = {", *sources, "};", ""] if sources else []
+    return [
+        *tables,
+        "const Events events = {",
+        f"    .n_parameters = {len(model.parameters)},",
+        f"    .n_memory = {len(model.memory)},",
+        f"    .n_actuators = {len(model.actuators)},",
+        f"    .n_columns = {len(model.columns)},",
+        f"    .n_tables = {len(model.tables)},",
+        *(["    .tables = tables,"] if sources else []),
+        f"    .sampling_time = {c_number(model.control.sampling_time if model.control else 0.0)},",
+        *functions,
+        "};",
+        "",
+    ]
+
+
+def _table_source(number: int, table: InputTable) -> str:
+    held = "true" if table.interpolation == "hold" else "false"
+    period = c_number(table.period or 0.0)
+    return f"    {{{c_text(table.file)}, {len(table.variables)}, heads_{number}, {held}, {period}}},"
 
 
 def _partial_table(elements: Sequence[Partial], layout: Sequence[Scalar]) -> list[str]:
@@ -136,11 +168,10 @@ def _partial_table(elements: Sequence[Partial], layout: Sequence[Scalar]) -> lis
 def _legend(model: PlantModel) -> list[str]:
     """Say which variable is which array element, for readers of the C code."""
     groups = {
-        "x": model.states,
-        "u": model.inputs,
-        "p": model.parameters,
+        **_arrays(model),
         "result of derivatives": model.states,
         "result of outputs": model.computed_outputs,
+        "result of control": (*model.memory, *model.actuators),
     }
     return [
         f"/* {array}: {', '.join(variable.name for variable in variables)} */"
@@ -149,11 +180,18 @@ def _legend(model: PlantModel) -> list[str]:
     ]
 
 
+def _arrays(model: PlantModel) -> dict[str, tuple[Variable, ...]]:
+    """Return the variables that functions of the C code are given, by array."""
+    arrays = {"x": model.states, "u": model.all_inputs, "p": model.parameters}
+    if model.has_events:
+        arrays |= {"s": (*model.memory, *model.actuators), "c": model.columns}
+    return arrays
+
+
 def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
-    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
     elements = {
         sympy.Symbol(variable.name, real=True): f"{array}[{index}]"
-        for array, variables in arrays.items()
+        for array, variables in _arrays(model).items()
         for index, variable in enumerate(variables)
     }
     return elements | {sympy.Symbol(TIME, real=True): TIME}
@@ -176,7 +214,9 @@ def _function(model: PlantModel, name: str, results: Mapping[str, sympy.Expr]) -
     lines = [f"    const double {symbol} = {printer.c_text(part)};" for symbol, part in common]
     lines += [f"    result[{index}] = {printer.c_text(part)};" for index, part in enumerate(reduced)]
     body = "\n".join(lines)
-    arguments = ("time", "x", "u", "p", "result")
+    arrays = _arrays(model)
+    arguments = (TIME, *arrays, "result")
     unused = [f"    (void){argument};" for argument in arguments if not re.search(rf"\b{argument}\b", body)]
-    signature = "double time, const double x[], const double u[], const double p[], double result[]"
+    given = ", ".join(f"const double {array}[]" for array in arrays)
+    signature = f"double time, {given}, double result[]"
     return "\n".join([f"static void {name}({signature})", "{", *unused, *lines, "}"])

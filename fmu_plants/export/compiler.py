@@ -58,7 +58,8 @@ _COMPILE = {
     "windows": ("-flto",),
     "darwin": ("-fPIC", "-fno-math-errno"),
 }
-_WINDOWS_LIBRARIES = tuple(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("heap", "math", "stdio", "string"))
+_WINDOWS_PARTS = ("convert", "heap", "locale", "math", "stdio", "string")
+_WINDOWS_LIBRARIES = tuple(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in _WINDOWS_PARTS)
 _LINK = {
     # The newer style of hash table has a filter of random bits, which does not compress.
     "linux": ("-flto", "-Wl,--hash-style=sysv", "-Wl,--build-id=none", "-lm"),

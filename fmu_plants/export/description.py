@@ -1,7 +1,8 @@
 """The description files of an FMU, for FMI 2.0 and FMI 3.0, and the order of a plant's variables.
 
 The C code follows the same order, block by block as in `runtime/model.h`: time, states, derivatives, inputs,
-computed outputs, parameters. The value reference of a variable is its position.
+computed outputs, parameters, and what an embedded control holds. The value reference of a variable is its
+position.
 """
 
 import re
@@ -43,10 +44,9 @@ _ROLES = {
     Kind.FIXED_PARAMETER: ("parameter", "fixed", "exact"),
     Kind.TUNABLE_PARAMETER: ("parameter", "tunable", "exact"),
     Kind.SAMPLE: ("input", "discrete", None),
-    Kind.HELD: ("output", "discrete", "calculated"),
+    Kind.HELD: ("local", "discrete", "calculated"),
 }
 _WITH_START = {Kind.STATE, Kind.INPUT, Kind.SAMPLE, Kind.FIXED_PARAMETER, Kind.TUNABLE_PARAMETER}
-_COMPUTED = {Kind.DERIVATIVE, Kind.OUTPUT, Kind.HELD}
 _LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logAll")
 _CAPABILITIES = {
     "2.0": {
@@ -89,9 +89,10 @@ def scalars(model: PlantModel) -> tuple[Scalar, ...]:
         Scalar(Kind.TIME, Variable(TIME, "s", description="Simulated time")),
         *(Scalar(Kind.STATE, variable) for variable in model.states),
         *(Scalar(Kind.DERIVATIVE, variable) for variable in derivatives),
-        *(Scalar(Kind.INPUT, variable) for variable in model.inputs),
+        *(Scalar(Kind.INPUT, variable) for variable in model.all_inputs),
         *(Scalar(Kind.OUTPUT, variable) for variable in model.computed_outputs),
         *(Scalar(_parameter_kind(parameter), parameter) for parameter in model.parameters),
+        *(Scalar(Kind.HELD, variable) for variable in (*model.memory, *model.actuators)),
     )
 
 
@@ -158,6 +159,8 @@ class Contents:
         The attributes of the default experiment.
     sampling_time : float
         Of a sampled block [s], which is for Co-Simulation only; 0: it is integrated.
+    has_events : bool
+        Whether it meets events of its own while it integrates, which it does in Co-Simulation only.
     """
 
     name: str
@@ -167,6 +170,7 @@ class Contents:
     dependencies: Mapping[str, frozenset[str]]
     experiment: Mapping[str, float]
     sampling_time: float = 0.0
+    has_events: bool = False
 
 
 def plant_contents(
@@ -180,6 +184,7 @@ def plant_contents(
         tuple(output.name for output in model.outputs),
         {state.name: frozenset([state.name]) for state in model.states} | dict(dependencies),
         {"stopTime": model.stop_time, "tolerance": relative_tolerance, "stepSize": model.step_size},
+        has_events=model.has_events,
     )
 
 
@@ -257,7 +262,7 @@ def _build_description(description: Description) -> ET.Element:
 
 
 def _add_interfaces(root: ET.Element, description: Description) -> None:
-    """Add Co-Simulation, and Model Exchange of what is integrated; FMI 2.0 has the source files there."""
+    """Add Co-Simulation, and Model Exchange of what importers can integrate; FMI 2.0 lists sources there."""
     contents, version = description.contents, description.fmi_version
     common = {"modelIdentifier": contents.name} | _CAPABILITIES[version]
     steps = {"canHandleVariableCommunicationStepSize": "true"}
@@ -275,7 +280,7 @@ def _add_interfaces(root: ET.Element, description: Description) -> None:
         exchange = {"providesEvaluateDiscreteStates": "true"}
         if contents.sampling_time:
             steps["fixedInternalStepSize"] = repr(float(contents.sampling_time))
-    if not contents.sampling_time:
+    if not (contents.sampling_time or contents.has_events):
         interfaces.append(ET.SubElement(root, "ModelExchange", common | exchange))
     interfaces.append(ET.SubElement(root, "CoSimulation", common | steps))
     for element in interfaces if description.is_fmi2 and description.sources else ():
@@ -383,4 +388,6 @@ def _add_structure(root: ET.Element, description: Description) -> None:
 
     add("Outputs", "Output", contents.outputs, running)
     add("Derivatives", "ContinuousStateDerivative", named(Kind.DERIVATIVE), running)
-    add("InitialUnknowns", "InitialUnknown", named(*_COMPUTED), starting)
+    unknowns = dict.fromkeys((*named(Kind.DERIVATIVE), *contents.outputs))
+    states = {*named(Kind.STATE)}
+    add("InitialUnknowns", "InitialUnknown", [name for name in unknowns if name not in states], starting)

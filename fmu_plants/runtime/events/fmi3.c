@@ -1,0 +1,9 @@
+/* FMI 3.0 for FMUs that read their resources: the same functions, of which instantiation hands on where those are. */
+#include "resources.h"
+
+#define instance_create(type, name, token, logging_on, logger, function) \
+    instance_create_with_resources(type, name, token, logging_on, logger, resourcePath, function)
+
+#include "fmi3_functions.h"
+
+#undef instance_create
