@@ -130,6 +130,22 @@ class DefaultExperiment:
     step_size: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class KeyFigureTags:
+    """What the key figures of a building are of, as its files say it (BOPTEST's convention).
+
+    Parameters
+    ----------
+    area : float
+        Floor area [m2].
+    sources : mapping of str to sequence of str
+        The outputs of each source: ``{"ElectricPower": ["reaPHeaPum_y"], "AirZoneTemperature[1]": [...]}``.
+    """
+
+    area: float
+    sources: Mapping[str, Sequence[str]]
+
+
 class Declarations:
     """Something that declares variables, which are looked up here."""
 
@@ -202,6 +218,8 @@ class PlantDescription(Declarations):
         Step size of which communication steps should be multiples [s].
     warnings : tuple of str
         What is wrong with what it says but was understood.
+    key_figures : KeyFigureTags or None
+        What the key figures of a building are of; None: it does not say.
     """
 
     inputs: Mapping[str, Variable]
@@ -217,6 +235,7 @@ class PlantDescription(Declarations):
     fixed_step: float | None = None
     warnings: tuple[str, ...] = ()
     switches: Mapping[str, str] = field(default_factory=dict)
+    key_figures: KeyFigureTags | None = None
 
     def switched_by(self, given: Mapping[str, str]) -> Self:
         """Return the description with other switches of inputs, by name; an empty one: it has none.

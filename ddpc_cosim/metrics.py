@@ -16,7 +16,18 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from ddpc_cosim.description import KeyFigureTags
 from ddpc_cosim.errors import ConfigError, CosimWarning
+from ddpc_cosim.key_figures import (
+    CO2,
+    DISTRICT_HEATING,
+    ELECTRIC,
+    GAS,
+    POWERS,
+    TEMPERATURES,
+    WATER,
+    KeyFigures,
+)
 from ddpc_cosim.plugins import Plugin, installed, source_hash
 from ddpc_cosim.responses import (
     Actuation,
@@ -54,11 +65,14 @@ class MetricSettings:
         in the reciprocal squares of their units; empty for no such cost.
     versions : mapping of str to str
         Of the installed metrics of third parties, a hash of their source.
+    key_figures : KeyFigureTags, optional
+        What the key figures of a building are of; default: there are none.
     """
 
     preview: int = 0
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    key_figures: KeyFigureTags | None = None
 
 
 Samples = TypeVar("Samples")
@@ -82,7 +96,7 @@ class Metric(Generic[Samples]):
     unit : str
         Its unit as FMUs write it, "1" for none; of a metric of one signal also ``"value"``, ``"difference"``,
         ``"difference.s"`` and ``"difference.h"``: the unit of the signal, for a value or a difference, or
-        that times seconds or hours; of what is paid for also ``"money"``.
+        that times seconds or hours; of what is paid for also ``"money"``, and ``"money/m2"``.
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
     if_held : bool
@@ -181,14 +195,15 @@ def compute_metrics(
     charged: Charged | None,
     step_times: StepTimes,
     cost: Mapping[str, Mapping[str, float]],
+    key_figures: KeyFigures | None = None,
 ) -> dict[str, float]:
-    """Return the built-in metrics of a run: of its outputs and inputs, cost, what is paid for, steps."""
+    """Return the built-in metrics of a run: of outputs, inputs, cost, payments, key figures and steps."""
     table: dict[str, float] = {}
     registry = {name: metric for name, metric in METRICS.items() if name not in _third_parties().metrics}
     whole = [WholeRun(responses, actuations, cost)] if cost else []
-    paid = [charged] if charged else []
+    of_run = [samples for samples in (charged, key_figures) if samples]
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
-        for samples in (*responses, *actuations, *whole, *paid, step_times):
+        for samples in (*responses, *actuations, *whole, *of_run, step_times):
             for name, metric in registry.items():
                 of_samples: Metric[Any] = metric
                 if isinstance(samples, metric.of) and of_samples.exists(samples):
@@ -262,8 +277,8 @@ def describe_metric(plugin: Plugin) -> tuple[str, bool]:
 def _fault(plugin: Plugin) -> str:
     """Return why an installed object cannot be a metric; empty if it can."""
     metric = plugin.value
-    # One that was called after an amount before there were prices goes on, in place of the built-in one.
-    if plugin.name in METRICS and METRICS[plugin.name].of is not Charged:
+    # One that was called after an amount, or a key figure, before those were built in takes their place.
+    if plugin.name in METRICS and METRICS[plugin.name].of not in (Charged, KeyFigures):
         return "there is a built-in metric of this name; choose another"
     if not re.fullmatch(r"[A-Za-z0-9_-]+", plugin.name):
         return "a name may have letters, digits, _ and - only"
@@ -283,7 +298,9 @@ def _fault(plugin: Plugin) -> str:
 def _key(name: str, unit: str, samples: Any) -> str:
     if isinstance(samples, SampledSignal):
         return _key_of_signal(name, unit, samples.variable)
-    return f"{name} [{samples.money if isinstance(samples, Charged) and unit == 'money' else unit}]"
+    if isinstance(samples, Charged | KeyFigures) and unit.startswith("money"):
+        unit = unit.replace("money", samples.money, 1)
+    return f"{name} [{unit}]"
 
 
 def _key_of_signal(name: str, unit: str, variable: Variable) -> str:
@@ -300,6 +317,7 @@ def expected_keys(
     charged: Charged | None,
     *,
     has_cost: bool,
+    key_figures: KeyFigures | None = None,
 ) -> tuple[str, ...]:
     """Return the keys of the metrics that the runs of a problem will have, before there are any.
 
@@ -313,10 +331,15 @@ def expected_keys(
         What is paid for, over one interval; None: nothing is.
     has_cost : bool
         Whether the study has a quadratic cost.
+    key_figures : KeyFigures, optional
+        The key figures of a building, of no samples; None: there are none.
     """
     keys = list[str]()
+    of_run: dict[type[Any], Any] = {Charged: charged, KeyFigures: key_figures}
+    of_run[StepTimes] = StepTimes(np.empty(0), math.nan, 0, 0, has_key_figures=key_figures is not None)
+    of_run[WholeRun] = has_cost or None
     for name, metric in all_metrics().items():
-        of_paid: Metric[Any] = metric
+        of_kind: Metric[Any] = metric
         if issubclass(metric.of, Response):
             is_of_band = issubclass(metric.of, BandResponse)
             signals: Sequence[Variable] = [
@@ -328,10 +351,10 @@ def expected_keys(
             keys += [_key_of_signal(name, metric.unit, v) for v in signals]
         elif issubclass(metric.of, Actuation):
             keys += [_key_of_signal(name, metric.unit, v) for v in inputs]
-        elif issubclass(metric.of, Charged):
-            keys += [_key(name, metric.unit, charged)] if charged and of_paid.exists(charged) else []
-        elif has_cost or not issubclass(metric.of, WholeRun):
+        elif metric.of not in of_run:  # of a third party
             keys.append(_key(name, metric.unit, None))
+        elif (samples := of_run[metric.of]) is not None and of_kind.exists(samples):
+            keys.append(_key(name, metric.unit, samples))
     return tuple(keys)
 
 
@@ -412,6 +435,7 @@ _Any = (
     | Metric[Actuation]
     | Metric[WholeRun]
     | Metric[Charged]
+    | Metric[KeyFigures]
     | Metric[StepTimes]
 )
 METRICS: dict[str, _Any] = {
@@ -632,6 +656,91 @@ METRICS: dict[str, _Any] = {
         Charged.peak,
         "kW",
         exists=lambda c: c.has_energy,
+    ),
+    "tdis_tot": Metric(
+        KeyFigures,
+        "Thermal discomfort",
+        "integral of the temperatures' distance to their band over time, the mean of all zones",
+        KeyFigures.thermal_discomfort,
+        "K.h",
+        exists=lambda f: f.has(*TEMPERATURES),
+    ),
+    "idis_tot": Metric(
+        KeyFigures,
+        "Air quality discomfort",
+        "integral of CO2 above its upper limit over time, the mean of all zones",
+        KeyFigures.air_discomfort,
+        "ppm.h",
+        exists=lambda f: f.has(CO2),
+    ),
+    "ener_tot": Metric(
+        KeyFigures,
+        "Energy per area",
+        "integral of all powers over time, per floor area",
+        KeyFigures.energy,
+        "kWh/m2",
+        exists=lambda f: f.has(*POWERS),
+    ),
+    "cost_tot": Metric(
+        KeyFigures,
+        "Cost per area",
+        "integral of the prices times powers and fresh water over time, per floor area",
+        KeyFigures.cost,
+        "money/m2",
+        exists=lambda f: bool(f.money) and f.has(*POWERS, WATER),
+    ),
+    "emis_tot": Metric(
+        KeyFigures,
+        "Emissions per area",
+        "integral of what all powers emit over time, per floor area",
+        KeyFigures.emissions,
+        "kg/m2",
+        exists=lambda f: f.has_emissions and f.has(*POWERS),
+        shown=("report",),
+    ),
+    "pele_tot": Metric(
+        KeyFigures,
+        "Peak electric power per area",
+        "largest mean of all electric power over 15 minutes, per floor area",
+        lambda f: f.peak(ELECTRIC),
+        "kW/m2",
+        exists=lambda f: f.has(ELECTRIC),
+        shown=("report",),
+    ),
+    "pgas_tot": Metric(
+        KeyFigures,
+        "Peak gas power per area",
+        "largest mean of all gas power over 15 minutes, per floor area",
+        lambda f: f.peak(GAS),
+        "kW/m2",
+        exists=lambda f: f.has(GAS),
+        shown=("report",),
+    ),
+    "pdih_tot": Metric(
+        KeyFigures,
+        "Peak district heating per area",
+        "largest mean of all district heating power over 15 minutes, per floor area",
+        lambda f: f.peak(DISTRICT_HEATING),
+        "kW/m2",
+        exists=lambda f: f.has(DISTRICT_HEATING),
+        shown=("report",),
+    ),
+    "time_rat": Metric(
+        StepTimes,
+        "Computational time ratio",
+        "mean wall-clock time of a controller step over the sampling time",
+        lambda s: _mean(s.times) / s.sampling_time,
+        "1",
+        exists=lambda s: s.has_key_figures,
+        shown=("report",),
+    ),
+    "atvl_tot": Metric(
+        KeyFigures,
+        "Actuator travel",
+        "sum of |change of an actuator|, the mean of all",
+        KeyFigures.travel,
+        "1",
+        shown=("report",),
     ),
     "solve_time_mean": Metric(
         StepTimes,

@@ -568,13 +568,21 @@ class Charged:
         left out, and of a shorter run it is the mean. Power is constant in each sampling interval, also where
         that is longer than a quarter of an hour.
         """
-        if not len(self.amounts):
-            return math.nan
-        times = self.sampling_time * np.arange(len(self.amounts) + 1)
-        quarters = math.floor(times[-1] / _QUARTER_HOUR * (1.0 + 1e-12))
-        edges = _QUARTER_HOUR * np.arange(quarters + 1) if quarters else times[[0, -1]]
-        energy = np.interp(edges, times, np.append(0.0, np.cumsum(self._energies)))
-        return float((np.diff(energy) / np.diff(edges)).max()) * _HOUR
+        return largest_quarter_hour(self._energies, self.sampling_time) * _HOUR
+
+
+def largest_quarter_hour(amounts: FloatArray, sampling_time: float) -> float:
+    """Return the largest mean per second over 15 minutes of what comes in each sampling interval, shape (K,).
+
+    Quarters of an hour are counted as of :meth:`Charged.peak`; NaN without an interval.
+    """
+    if not len(amounts):
+        return math.nan
+    times = sampling_time * np.arange(len(amounts) + 1)
+    quarters = math.floor(times[-1] / _QUARTER_HOUR * (1.0 + 1e-12))
+    edges = _QUARTER_HOUR * np.arange(quarters + 1) if quarters else times[[0, -1]]
+    come = np.interp(edges, times, np.append(0.0, np.cumsum(amounts)))
+    return float((np.diff(come) / np.diff(edges)).max())
 
 
 def _in_kwh(amount: str) -> float:
@@ -587,12 +595,16 @@ def _in_kwh(amount: str) -> float:
 
 @dataclass(frozen=True)
 class StepTimes:
-    """The controller's steps: times [s], shape (K,), NaN without a step; fallbacks; rows of the trace."""
+    """The controller's steps: times [s], shape (K,), NaN without a step; fallbacks; rows of the trace.
+
+    ``has_key_figures``: whether the study asks for those of buildings, of which one is of these times.
+    """
 
     solve_time: FloatArray
     sampling_time: float
     fallbacks: int
     rows: int
+    has_key_figures: bool = False
 
     @cached_property
     def times(self) -> FloatArray:

@@ -92,6 +92,7 @@ _PLAIN = {
     "lb": SIUnit({"kg": 1}, 0.45359237),
     "kgf": SIUnit({"kg": 1, "m": 1, "s": -2}, 9.80665),
     "%": SIUnit({}, 1e-2),
+    "ppm": SIUnit({}, 1e-6),
 }
 
 # The display units that are usual for a unit.

@@ -153,6 +153,7 @@ def cosimulate(
     recording_start: float | None = None,
     forecast_horizon: int | None = None,
     prices: Mapping[str, Price] | None = None,
+    monitors: Mapping[str, Band | None] | None = None,
     warm_up: float = 0.0,
     warm_up_controller: Controller | None = None,
     resumed: Resumption | None = None,
@@ -214,6 +215,9 @@ def cosimulate(
         depends; default: that of this controller.
     prices : mapping of str to Price, optional
         What signals cost, by name.
+    monitors : mapping of str to (Band or None), optional
+        Outputs that are kept in the trace, as they are, whether or not a controller sees them; each with the
+        band that it is wanted within, or None.
     warm_up : float
         How long the plant runs before the first sample [s], which is not part of the trace.
     warm_up_controller : Controller, optional
@@ -254,6 +258,7 @@ def cosimulate(
         recording_start=recording_start,
         forecast_horizon=forecast_horizon,
         prices=prices,
+        monitors=monitors,
         warm_up=warm_up,
         warm_up_controller=warm_up_controller,
     )
@@ -270,6 +275,7 @@ def cosimulate(
         recorded_disturbances=recorded_disturbances,
         prices=prices,
         forecast_horizon=forecast_horizon,
+        monitors=monitors,
     )
     is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
     wanted = {} if is_open_loop else setup.wanted({} if reference is None else reference)
@@ -385,6 +391,8 @@ def cosimulate(
         bands=loop.bands,
         moving_limits=limits.moving,
         charges=setup.charged.charges,
+        monitors=setup.monitors,
+        monitored_bands=setup.monitored_bands,
     )
 
 
@@ -655,6 +663,8 @@ class _Rows:
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
         self._forecast = self.store.more.get("forecast")
+        # Before the run there is nothing to monitor.
+        self._monitored = None if keeps_seen else self.store.more.get("monitored")
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
@@ -669,6 +679,8 @@ class _Rows:
             "price": price,
             "emission": emission,
         }
+        if self._monitored is not None and "monitored_band" in self.store.more:
+            tables["monitored_band"] = self._setup.monitored_band(self.time)
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
         if self._forecast is not None:
@@ -704,6 +716,8 @@ class _Rows:
             store.more["d"][k] = disturbance
         if setup.charged.charges:
             store.more["charged"][k] = np.nan
+        if self._monitored is not None:
+            self._monitored[k] = measured.all_outputs[setup.monitored]
         store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))

@@ -25,6 +25,7 @@ def table_widths(
     wanted: Wanted,
     limits: Mapping[str, tuple[Limit, Limit]],
     prices: Mapping[str, Price],
+    monitors: Mapping[str, Band | None],
     inputs: int,
     outputs: int,
 ) -> dict[str, int]:
@@ -39,6 +40,8 @@ def table_widths(
         "input_limits": 2 * inputs * moving,
         "output_limits": 2 * outputs * moving,
         **dict.fromkeys(("price", "emission", "charged"), len(prices)),
+        "monitored": len(monitors),
+        "monitored_band": 2 * sum(band is not None for band in monitors.values()),
     }
     return {name: width for name, width in widths.items() if width}
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 from numbers import Integral, Real
+from types import NoneType
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -110,6 +111,7 @@ _NAMED_KINDS: dict[str, tuple[type, ...]] = {
     "disturbances": (KnownDisturbance,),
     "recorded_disturbances": (Reference,),
     "prices": (Price,),
+    "monitors": (Band, NoneType),
     "bounds": (object,),  # said where they are read
 }
 
@@ -152,6 +154,7 @@ def _in_words(kinds: tuple[type, ...]) -> str:
     if kinds == (object,):
         return "two limits"
     words = {Reference: "a signal of time", Excitation: "an Excitation", Conditions: "Conditions"}
+    words[NoneType] = "None"
     return " or ".join(words.get(kind, f"a {kind.__name__}") for kind in kinds)
 
 
@@ -235,7 +238,7 @@ class LoopSetup:
         Nothing is controlled: inputs without a signal rest at their start values.
     is_free : bool
         Nothing is controlled, and inputs are left to the plant.
-    disturbances, recorded_disturbances, prices, forecast_horizon
+    disturbances, recorded_disturbances, prices, forecast_horizon, monitors
         As in :func:`ddpc_cosim.cosimulate`.
 
     Raises
@@ -263,6 +266,7 @@ class LoopSetup:
         recorded_disturbances: Mapping[str, Reference] | None = None,
         prices: Mapping[str, Price] | None = None,
         forecast_horizon: int | None = None,
+        monitors: Mapping[str, Band | None] | None = None,
     ) -> None:
         check_sampling_time(sampling_time)
         check_seed(seed)
@@ -274,9 +278,14 @@ class LoopSetup:
         controlled = () if open_loop or is_free else _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
+        self._monitors = monitors or {}
+        check_names("monitors", self._monitors, plant.outputs)
         self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
         self._outputs = np.array([available.index(name) for name in controlled], dtype=np.intp)
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
+        self.monitored = np.array([available.index(name) for name in self._monitors], dtype=np.intp)
+        self.monitors = tuple(plant.outputs[i] for i in self.monitored)
+        self.monitored_bands = tuple(name for name, band in self._monitors.items() if band is not None)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
         self.measurements = tuple(plant.outputs[i] for i in self._measured)
         self.disturbances = ActingDisturbances(
@@ -329,7 +338,12 @@ class LoopSetup:
         """Return how many columns the further tables of a run have."""
         sizes = len(self.inputs), len(self.outputs)
         declared, prices = self.disturbances.declared, self.charged.prices
-        return table_widths(declared, wanted, self._given_bounds, prices, *sizes)
+        return table_widths(declared, wanted, self._given_bounds, prices, self._monitors, *sizes)
+
+    def monitored_band(self, time: FloatArray) -> FloatArray:
+        """Return the bands of what is monitored at times [s], shape (len(time), bands, 2)."""
+        bands = {name: band for name, band in self._monitors.items() if band is not None}
+        return Wish.over([v for v in self.monitors if v.name in bands], bands, time).band
 
     def _stream(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._seed, number])

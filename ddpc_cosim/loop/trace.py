@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK, Bounds, Charge
+from ddpc_cosim.description import KeyFigureTags, applied_output
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.csv_files import write_table
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.key_figures import KeyFigures, TaggedSignal, factor_of
 from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, BandResponse, Charged, Limits, Response, StepTimes, Tracking
@@ -118,6 +120,14 @@ class Trace:
         What is paid and emitted per amount.
     charged : array, shape (K, n_prices)
         What the plant has of these signals: of an input from ``time[k]`` on, of an output at that time.
+    monitors : tuple of Variable
+        Outputs that were kept besides, whether or not a controller saw them.
+    monitored : array, shape (K, len(monitors))
+        Them, as they were.
+    monitored_bands : tuple of str
+        Those of them that are wanted within a band.
+    monitored_band : array, shape (K, len(monitored_bands), 2)
+        Lower and upper edges.
     acting : tuple of str
         Names of the declared disturbances, those that controllers know nothing of included.
     state : bytes
@@ -162,6 +172,10 @@ class Trace:
     price: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     emission: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     charged: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    monitors: tuple[Variable, ...] = ()
+    monitored: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    monitored_bands: tuple[str, ...] = ()
+    monitored_band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
     acting: tuple[str, ...] = ()
     state: bytes = b""
 
@@ -224,8 +238,9 @@ class Trace:
                 for i, variable in enumerate(self.inputs)
             ],
             self._charged(),
-            StepTimes(self.solve_time, h, self.failures, len(self)),
+            StepTimes(self.solve_time, h, self.failures, len(self), settings.key_figures is not None),
             settings.cost,
+            self._key_figures(settings.key_figures),
         )
         return table | compute_installed_metrics(self)
 
@@ -289,6 +304,79 @@ class Trace:
             self.charges, charged, held, self.price[rows], self.emission[rows], self.sampling_time
         )
 
+    def _key_figures(self, tags: KeyFigureTags | None) -> KeyFigures | None:
+        """Return what the key figures of a building are computed from; None without any."""
+        if tags is None:
+            return None
+        sources = {signal: source for source, signals in tags.sources.items() for signal in signals}
+        tagged = {name: self._tagged(name, source) for name, source in sources.items()}
+        paid = [charge.unit for charge in self.charges if charge.signal in sources]
+        return KeyFigures(
+            tags,
+            paid[0] if paid else "",
+            any(signal.emits for signal in tagged.values() if signal is not None),
+            self.sampling_time,
+            {name: signal for name, signal in tagged.items() if signal is not None},
+            [self._moved(variable) for variable in self.inputs],
+            self.completed,
+        )
+
+    def _tagged(self, name: str, source: str) -> TaggedSignal | None:
+        """Return a signal of a source over the whole run; None where it is not known."""
+        known = self._known(name)
+        if known is None:
+            return None
+        variable, values = known
+        factor = factor_of(source, variable.unit)
+        limits = self._band_of(name)
+        is_held = name in names((*self.inputs, *self.changed_inputs)) and name not in names(self.outputs)
+        columns = [i for i, charge in enumerate(self.charges) if charge.signal == name]
+        rates = np.array([self.charges[i].rate for i in columns]) / factor
+        return TaggedSignal(
+            values * factor,
+            self.sampling_time,
+            is_held,
+            None if limits is None else limits * factor,
+            self.price[:, columns] @ rates if columns else None,
+            self.emission[:, columns] @ rates if columns else None,
+        )
+
+    def _known(self, name: str) -> tuple[Variable, FloatArray] | None:
+        """Return a signal as the plant has it, with its variable; None where it was not kept."""
+        kinds = (
+            (self.monitors, self.monitored),
+            (self.outputs, self.y),
+            (self._charged_variables, self.charged),
+            (self.changed_inputs, self.applied),
+            (self.inputs, self.u),
+        )
+        for variables, table in kinds:
+            for i, variable in enumerate(variables):
+                if variable.name == name:
+                    return variable, np.where(self._is_left(name), np.nan, table[:, i])
+        return None
+
+    def _is_left(self, name: str) -> NDArray[np.bool_]:
+        """Return at which samples a signal is an input that is left to the plant."""
+        if name not in names(self.inputs):
+            return np.zeros(len(self), dtype=bool)
+        return ~np.isfinite(self.u[:, names(self.inputs).index(name)])
+
+    def _band_of(self, name: str) -> FloatArray | None:
+        """Return the band of an output, shape (K, 2), that of what is monitored first; None without one."""
+        if name in self.monitored_bands:
+            return self.monitored_band[:, self.monitored_bands.index(name)]
+        return self.band[:, names(self.outputs).index(name)] if name in self.bands else None
+
+    def _moved(self, variable: Variable) -> TaggedSignal:
+        """Return an input over the whole run; where it is left to the plant, what that says it applies."""
+        told = self._known(applied_output(variable.name))
+        if told is not None and told[0].unit == variable.unit and self._is_left(variable.name).all():
+            return TaggedSignal(told[1], self.sampling_time)
+        known = self._known(variable.name)
+        assert known is not None
+        return TaggedSignal(known[1], self.sampling_time, is_held=True)
+
     def plot(self, *others: "Trace", labels: Sequence[str] = ()) -> Picture:
         """Draw the samples in display units, over those of other runs of the same loop.
 
@@ -330,7 +418,8 @@ class Trace:
         The edges of a band are prefixed with ``lower`` and ``upper``, limits that change with ``min`` and
         ``max``, known disturbances as they were measured with ``disturbance``, and what was expected of
         them at a few moments with ``forecast``; of prices there are ``price``,
-        ``emission`` and, of the signal that is paid for, ``charged``.
+        ``emission`` and, of the signal that is paid for, ``charged``; outputs that were kept besides are
+        prefixed with ``monitored``, and the edges of their bands with ``monitored lower`` and ``upper``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
 
@@ -399,6 +488,12 @@ class Trace:
             yield "price", Variable(charge.name, f"{charge.unit}/{charge.amount}"), self.price[:, i]
             yield "emission", Variable(charge.name, f"kg/{charge.amount}"), self.emission[:, i]
             yield "charged", replace(variable, name=charge.name), self.charged[:, i]
+        for i, variable in enumerate(self.monitors):
+            yield "monitored", variable, self.monitored[:, i]
+            if variable.name in self.monitored_bands:
+                edges = self.monitored_band[:, self.monitored_bands.index(variable.name)]
+                yield "monitored lower", variable, edges[:, 0]
+                yield "monitored upper", variable, edges[:, 1]
 
     @property
     def _charged_variables(self) -> list[Variable]:

@@ -27,7 +27,7 @@ _HEADER = 96
 _TEXTS, _CHUNK = 1 << 16, 1 << 20
 _NOTHING: FloatArray = np.empty(0)
 _END = "\n"
-PAIRS = ("band", "input_limits", "output_limits")
+PAIRS = ("band", "input_limits", "output_limits", "monitored_band")
 """The further tables of lower and upper values."""
 _MOST_INFO, _LONGEST_NAME = 64, 400
 _FAILED, _NOT_KEPT = "error", "(not kept: too many different statuses)"

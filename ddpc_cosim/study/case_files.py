@@ -306,6 +306,8 @@ def _further(trace: Trace) -> dict[str, Any]:
         "bands": list(trace.bands),
         "moving_limits": list(trace.moving_limits),
         "charges": [charge._asdict() for charge in trace.charges],
+        "monitors": [asdict(variable) for variable in trace.monitors],
+        "monitored_bands": list(trace.monitored_bands),
     }
     return {key: value for key, value in further.items() if value}
 
@@ -613,6 +615,12 @@ def read_trace(folder: Path) -> Trace:
         ]
         return np.column_stack(chosen) if chosen else np.empty((0, 0))
 
+    monitors, monitored_bands = (
+        [_variable(variable) for variable in run.get("monitors", ())],
+        run.get("monitored_bands", ()),
+    )
+    edges = ("monitored lower", "monitored upper")
+    within = [variable for variable in monitors if variable.name in monitored_bands]
     limits = ("min", "max")
     return Trace(
         state=_state(folder, run),
@@ -629,6 +637,10 @@ def read_trace(folder: Path) -> Trace:
         price=of_charges("price"),
         emission=of_charges("emission"),
         charged=of_charges("charged"),
+        monitors=tuple(monitors),
+        monitored=table(monitors, ("monitored ",)) if monitors else np.empty((0, 0)),
+        monitored_bands=tuple(monitored_bands),
+        monitored_band=pairs(within, monitored_bands, edges, ((), ())),
         time=columns["time [s]"],
         reference=reference,
         y=table(outputs, ("output ", "")),

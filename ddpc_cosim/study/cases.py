@@ -65,6 +65,7 @@ _WHERE_SAID = (
     "recorded_disturbances",
     "recording_start",
     "prices",
+    "monitors",
     "read",
     "forecast_horizon",
     "warm_up",
@@ -139,8 +140,10 @@ class Case:
         Time of the experiment's first sample [s]; None: 0.
     prices : dict of str to Price
         What signals cost.
+    monitors : dict of str to (Band or None)
+        Outputs that are kept besides, with the band that they are wanted within.
     read : tuple of Variable
-        Outputs that are neither controlled nor measured, and known disturbances or paid for.
+        Outputs that are neither controlled nor measured, and known disturbances, paid for or monitored.
     forecast_horizon : int or None
         The longest horizon of the study's controllers, as far as forecasts are made; None: there are none.
     warm_up : float
@@ -203,6 +206,7 @@ class Case:
     recorded_disturbances: dict[str, Reference] = field(default_factory=dict)
     recording_start: float | None = None
     prices: dict[str, Price] = field(default_factory=dict)
+    monitors: dict[str, Band | None] = field(default_factory=dict)
     read: tuple[Variable, ...] = ()
     forecast_horizon: int | None = None
     warm_up: float = 0.0
@@ -618,6 +622,7 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         recording_start=case.recording_start,
         forecast_horizon=case.forecast_horizon,
         prices=case.prices,
+        monitors=case.monitors,
         warm_up=case.warm_up,
         warm_up_controller=warm_up_controller,
         resumed=case.resumed,
@@ -667,7 +672,7 @@ def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool =
         *(len(case.outputs), len(case.measurements), len(case.inputs)),
         path,
         changed_inputs=len(case.changed_inputs),
-        more=table_widths(case.disturbances, case.reference, case.bounds, case.prices, *sizes),
+        more=table_widths(case.disturbances, case.reference, case.bounds, case.prices, case.monitors, *sizes),
         follow=follow,
     )
 
@@ -704,6 +709,8 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
         bands=tuple(v.name for v in case.outputs if isinstance(case.reference[v.name], Band)),
         moving_limits=limits.moving,
         charges=tuple(price.charge(name, case.variable(price.signal)) for name, price in case.prices.items()),
+        monitors=tuple(map(case.variable, case.monitors)),
+        monitored_bands=tuple(name for name, band in case.monitors.items() if band is not None),
     )
 
 
@@ -777,6 +784,7 @@ def cases_of_problem(
                 recorded_disturbances=resolved.recorded_disturbances,
                 recording_start=_recording_start(study, scenario),
                 prices=resolved.prices[name],
+                monitors=resolved.monitors,
                 read=resolved.read,
                 forecast_horizon=resolved.forecast_horizon if study.disturbances else None,
                 warm_up=study.loop.warm_up,

@@ -236,6 +236,9 @@ class Problem:
     ranking : {"error", "money", "pareto"}, optional
         What controllers are ranked by: errors or the cost, money, or money and discomfort both; default: the
         last where there are prices, else the first.
+    key_figures : str or mapping of str to Any, optional
+        A set of key figures of a building: ``"boptest"``, or a table of ``set``, ``area`` [m2], ``sources``
+        (signals by source) and ``bands`` of zones that are not controlled within one.
     relevant : mapping of str to float, or to mapping of str to float
         The smallest difference of what is ranked by that matters: ``absolute``, of several outputs one for
         each, and ``percent`` of the best figure or of the task. Default: 1 %.
@@ -308,6 +311,7 @@ class Problem:
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     relevant: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
     ranking: Ranking | None = None
+    key_figures: str | Mapping[str, Any] | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     switches: Mapping[str, str] = field(default_factory=dict)

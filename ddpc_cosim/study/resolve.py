@@ -46,6 +46,7 @@ from ddpc_cosim.study.file_format.sections import (
     StudyHead,
 )
 from ddpc_cosim.study.file_format.study_files import StudyFile
+from ddpc_cosim.study.key_figures import StudyKeyFigures
 from ddpc_cosim.study.plants import PlantSpec, PlantTables
 from ddpc_cosim.study.prices import Prices
 from ddpc_cosim.study.problems import WholeStudy
@@ -94,8 +95,10 @@ class ResolvedStudy:
         Those that have a signal of their own in the experiment.
     prices : dict of str to dict of str to Price
         Those of each scenario, all of which are signals.
+    monitors : dict of str to (Band or None)
+        Outputs that key figures are of and that are not kept otherwise, with their bands.
     read : tuple of Variable
-        Outputs that are known disturbances, and neither controlled nor measured.
+        Outputs that are known disturbances or monitored, and neither controlled nor measured.
     forecast_horizon : int
         The longest horizon of the controllers.
     warm_up_controller : StabiliserSection or None
@@ -125,6 +128,7 @@ class ResolvedStudy:
     disturbances: dict[str, dict[str, KnownDisturbance]]
     recorded_disturbances: dict[str, Reference]
     prices: dict[str, dict[str, Price]]
+    monitors: dict[str, Band | None]
     read: tuple[Variable, ...]
     forecast_horizon: int
     warm_up_controller: StabiliserSection | None
@@ -268,7 +272,8 @@ class _Resolution:
         self._check_ranking()
         self._check_relevant()
         self._check_claims()
-        RequirementsCheck(self.signals, self.prices.of_study).check()
+        self.key_figures = StudyKeyFigures(self.signals, self.prices.of_study, self._band)
+        RequirementsCheck(self.signals, self.prices.of_study, self.key_figures.tags).check()
         self.references = self._references()
         self.shared_bounds = self._shared_bounds()
         self.own_bounds = self._own_bounds() or {}
@@ -302,6 +307,7 @@ class _Resolution:
             disturbances={name: self.disturbances.of(name) for name in self.study.scenarios},
             recorded_disturbances=self.disturbances.recorded or {},
             prices={name: self.prices.of(name) for name in self.study.scenarios},
+            monitors=self.key_figures.monitors,
             read=self._read_besides(),
             forecast_horizon=self.horizon,
             warm_up_controller=self._with_settings(self.study.loop.warm_up_controller, self.warm_up),
@@ -323,13 +329,15 @@ class _Resolution:
         cost, loop = self.study.metrics.cost, self.study.loop
         limits = map(loop.preview_of, self.study.scenarios.values())
         preview = max(self.horizon if limit is None else min(limit, self.horizon) for limit in limits)
-        return MetricSettings(preview, write(cost) if cost else {}, installed_versions())
+        weights = write(cost) if cost else {}
+        return MetricSettings(preview, weights, installed_versions(), self.key_figures.tags)
 
     def _read_besides(self) -> tuple[Variable, ...]:
-        """Return the outputs that are known disturbances, and neither controlled nor measured."""
-        others = self.disturbances.variables.keys() - {*self.outputs.names, *self.measurements.names}
-        known = self.disturbances.variables
-        return tuple(v for name, v in known.items() if name in others & self.variables.outputs.keys())
+        """Return the outputs that are disturbances or monitored, and neither controlled nor measured."""
+        outputs = self.variables.outputs
+        known = {**self.disturbances.variables, **{name: outputs[name] for name in self.key_figures.monitors}}
+        others = known.keys() - {*self.outputs.names, *self.measurements.names}
+        return tuple(v for name, v in known.items() if name in others & outputs.keys())
 
     @staticmethod
     def _with_settings(

@@ -354,3 +354,66 @@ def worst(values: list[float]) -> float:
 
 def middle(values: list[float]) -> float:
     return NAN if not values or any(map(math.isnan, values)) else median(values)
+
+
+def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> dict[str, float]:
+    """Return BOPTEST's key figures of a completed case, by the formulas of its paper (section "KPIs").
+
+    Signals that are inputs are held, so that their integral is a sum; the others are lines.
+    """
+    run, columns = read_case(folder)
+    h, driven = run["sampling_time"], {variable["name"] for variable in run["inputs"]}
+    time = np.array(columns["time [s]"])
+
+    def column(*prefixes: str, name: str) -> Any:
+        headers = [f"{prefix}{name} [" for prefix in prefixes]
+        return next(
+            (np.array(v) for start in headers for key, v in columns.items() if key.startswith(start)), None
+        )
+
+    def integral(name: str, weight: Any) -> float:
+        values = column("monitored ", "", name=name) * weight
+        return float(values[:-1].sum() * h) if name in driven else float(np.trapezoid(values, time))
+
+    def outside(name: str, *, below: bool) -> float:
+        y = column("monitored ", "", name=name)
+        lower, upper = (column(f"monitored {side} ", f"{side} ", name=name) for side in ("lower", "upper"))
+        under = np.trapezoid(np.clip(lower - y, 0, None), time) if below else 0.0
+        return float(under + np.trapezoid(np.clip(y - upper, 0, None), time)) / 3600
+
+    def per_zone(start: tuple[str, ...], *, below: bool) -> float:
+        zones = [names for source, names in sources.items() if source.startswith(start)]
+        return fmean(math.fsum(outside(name, below=below) for name in names) for names in zones)
+
+    def peak(source: str) -> float:
+        power = 0.0
+        for name in sources[source]:
+            values = column("monitored ", "", name=name)
+            power = power + (values[:-1] if name in driven else (values[:-1] + values[1:]) / 2)
+        minutes = np.repeat(power, round(h / 60))
+        return max(fmean(minutes[i : i + 15]) for i in range(0, len(minutes) - 14, 15)) / area / 1000
+
+    used = {name: source for source, names in sources.items() if "[" not in source for name in names}
+    powers = [name for name, source in used.items() if source.endswith("Power")]
+    priced = {charge["signal"]: charge for charge in run["charges"]}
+
+    def per_amount(kind: str, names: list[str]) -> float:
+        return sum(
+            integral(name, column(f"{kind} ", name=priced[name]["name"]) * priced[name]["rate"])
+            for name in names
+        )
+
+    steps = [seconds for seconds in columns["solve_time [s]"] if math.isfinite(seconds)]
+    moves = [abs(np.diff(column("", name=name)[:-1])).sum() for name in sorted(driven)]
+    return {
+        "tdis_tot [K.h]": per_zone(("AirZoneTemperature", "OperativeZoneTemperature"), below=True),
+        "idis_tot [ppm.h]": per_zone(("CO2Concentration",), below=False),
+        "ener_tot [kWh/m2]": sum(integral(name, 1.0) for name in powers) / 3.6e6 / area,
+        f"cost_tot [{run['charges'][0]['unit']}/m2]": per_amount("price", list(used)) / area,
+        "emis_tot [kg/m2]": per_amount("emission", powers) / area,
+        "pele_tot [kW/m2]": peak("ElectricPower"),
+        "pgas_tot [kW/m2]": peak("GasPower"),
+        "pdih_tot [kW/m2]": peak("DistrictHeatingPower"),
+        "time_rat [1]": fmean(steps) / h,
+        "atvl_tot [1]": fmean(moves),
+    }

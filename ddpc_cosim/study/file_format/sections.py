@@ -601,6 +601,26 @@ class RelevantSection(Section):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class KeyFiguresSection(Section):
+    """A set of key figures of a building, and what they are of; its name alone: `"boptest"`."""
+
+    set: Literal["boptest"] = setting(doc="by whose definitions")
+    area: float | None = setting(None, doc="floor area; none: what the plant says", unit="m2", above=0)
+    sources: dict[str, list[str]] = setting(
+        {},
+        doc='outputs, or inputs, of each source: `ElectricPower`, `"AirZoneTemperature[1]"`; none: what the '
+        "plant says",
+    )
+    bands: dict[str, BandSection] = setting(
+        {}, doc="bands of zones' outputs that are not controlled, or are wanted on a reference"
+    )
+
+
+def _set_of(value: Any) -> Any:
+    return {"set": value} if isinstance(value, str) else value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MetricsSection(Section):
     """What runs are judged by besides the metrics that every study has, and what difference matters."""
 
@@ -610,6 +630,9 @@ class MetricsSection(Section):
         None,
         doc="what controllers are ranked by: errors or the cost, money, or money and discomfort both; none: "
         "the last where there are prices, else the first",
+    )
+    key_figures: Annotated[KeyFiguresSection | None, Prepared(_set_of, {"const": "boptest"})] = setting(
+        None, doc="a set of key figures of a building, by name or with what it is of; none: no such figures"
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:

@@ -329,6 +329,12 @@ PROBLEMS = {
         warm_up="7 d",
         warm_up_controller=PID(proportional=2.0),
         ranking="pareto",
+        key_figures={
+            "set": "boptest",
+            "area": 120.0,
+            "sources": {"ElectricPower": ["heating"], "AirZoneTemperature[1]": ["attic"]},
+            "bands": {"attic": {"band": {"lower": 15.0, "upper": 25.0}, "unit": "degC"}},
+        },
         requirements={"controllers": ["pid"], "share": 0.9}
         | {
             f"{name}.room_temperature" if issubclass(metric.of, SampledSignal) else name: {

@@ -13,6 +13,7 @@ from studies import write
 
 from ddpc_cosim import (
     PRBS,
+    Band,
     Conditions,
     ConfigError,
     Constant,
@@ -318,6 +319,7 @@ OTHER: dict[str, Any] = {
     "recorded_disturbances": {"wind": Constant(1.0)},
     "recording_start": 0.0,
     "prices": {"power": Price(signal="torque", price=1.0, unit="EUR/kWh")},
+    "monitors": {"angle": Band(-1.0, 1.0), "speed": None},
     "read": (Variable("other output"),),
     "forecast_horizon": 3,
     "warm_up": 0.5,
