@@ -167,10 +167,14 @@ def _too_large(name: str, most: int) -> DataError:
     return DataError(f"{name}: is too large; allowed: {most / 1e6:g} MB")
 
 
+def _ignore(_: str) -> None:
+    """Let a fault go by, which `inspect` tells."""
+
+
 def key_figure_tags(files: Files) -> KeyFigureTags | None:
-    """Return what key figures are of, by ``config.json`` and ``kpis.json``; None where these do not say it."""
-    area = _number(_json(files, "config.json", say_nothing), "area", say_nothing, above=0.0)
-    sources = dict(_key_figures(_json(files, "kpis.json", say_nothing), say_nothing))
+    """Return what key figures are of by ``config.json`` and ``kpis.json``; None where these do not say it."""
+    area = _number(_json(files, "config.json", _ignore), "area", _ignore, above=0.0)
+    sources = dict(_key_figures(_json(files, "kpis.json", _ignore), _ignore))
     return None if area is None or not sources else KeyFigureTags(area, sources)
 
 
@@ -216,10 +220,6 @@ class Resources:
             if column in table.columns:
                 return table, unit_of(table, column)
         return None
-
-
-def say_nothing(_: str) -> None:
-    """Take note of what is wrong for whoever does not tell it."""
 
 
 def read_resources(path: Path, findings: Findings) -> Resources:

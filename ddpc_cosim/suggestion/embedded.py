@@ -80,25 +80,30 @@ def embedded_control(
     switches: Mapping[str, str],
     parameters: Mapping[str, ParameterValue],
     timing: Timing,
+    applied: Sequence[str] = (),
 ) -> Embedded:
     """Run a plant under its own control, and return what that does with what it leaves to overrides.
 
     Parameters
     ----------
     open_plant : callable
-        Opens it; takes ``start``.
+        Opens it; takes ``start``, and ``also``, further outputs to read.
     switches : mapping of str to str
         The switches of the overrides that start at 0, by override.
     parameters : mapping of str to number or str
         What differs from the plant's defaults.
     timing : Timing
         What is known about time: the run is as long as those of the step test.
+    applied : sequence of str
+        The outputs that tell what acts as overrides.
     """
     if not switches:
         return Embedded()
     h = timing.step if timing.fixed else timing.step * BLOCK * 2.0**timing.blocks / _STEPS
     try:
         with open_plant(start=dict.fromkeys(switches.values(), 0.0)) as plant:
+            own = len(plant.outputs)
+        with open_plant(start=dict.fromkeys(switches.values(), 0.0), also=applied) as plant:
             u = np.array([variable.start for variable in plant.inputs])
             plant.plan(h, _STEPS * h)
             plant.reset(parameters)
@@ -111,4 +116,4 @@ def embedded_control(
         return Embedded(tuple(switches))
     told = {name: outputs.index(y) for name in switches if (y := applied_output(name)) in outputs}
     levels = {name: float(held[place]) for name, place in told.items() if held[place]}
-    return Embedded(tuple(switches), levels, held)
+    return Embedded(tuple(switches), levels, held[:own])

@@ -10,7 +10,6 @@ import pytest
 from ddpc_controllers import PID, Idle
 from ddpc_cosim import (
     Band,
-    ConfigError,
     Constant,
     KnownDisturbance,
     Price,
@@ -21,10 +20,6 @@ from ddpc_cosim import (
     Study,
     StudyResults,
 )
-from ddpc_cosim.description import KeyFigureTags, PlantDescription
-from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import write_report
 
 from .recomputed import key_figures_of
