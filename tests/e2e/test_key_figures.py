@@ -10,6 +10,7 @@ import pytest
 from ddpc_controllers import PID, Idle
 from ddpc_cosim import (
     Band,
+    ConfigError,
     Constant,
     KnownDisturbance,
     Price,
@@ -20,6 +21,10 @@ from ddpc_cosim import (
     Study,
     StudyResults,
 )
+from ddpc_cosim.description import KeyFigureTags, PlantDescription
+from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import write_report
 
 from .recomputed import key_figures_of
@@ -67,9 +72,7 @@ SOURCES = {
 BANDS = {
     "envelope_temperature": {"band": {"lower": 19.6, "upper": 20.0}, "unit": "degC"},
     "heater_temperature": {"band": {"lower": 21.0, "upper": 23.0}, "unit": "degC"},
-    "co2": {
-        "band": {"lower": 0.0, "upper": {"kind": "steps", "times": [0.0, 3e4], "values": [840.0, 845.0]}}
-    },
+    "co2": {"band": {"lower": 0.0, "upper": {"kind": "steps", "times": [0.0, 3e4], "values": [840.0, 845.0]}}},
 }
 TABLE = {"set": "boptest", "area": AREA, "sources": SOURCES, "bands": BANDS}
 TARIFF = Steps([0.0, 7 * 3600.0, 21 * 3600.0], [0.1, 0.3, 0.1])
