@@ -42,8 +42,8 @@ _FORTNIGHT = 2 * _WEEK
 _LONGEST_TEST = 0.9 * _FORTNIGHT  # s: of a step test; beyond, the season tells more than an input
 _STEPS = (60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0)
 _MUCH = 4.0  # times: sampling times that differ by more are another choice
-_AHEAD = 12 * _HOUR  # a horizon sees half a day, in 8 to 48 samples
-_FEWEST_AHEAD, _MOST_AHEAD = 8, 48
+_AHEAD = 12 * _HOUR  # a horizon sees half a day, in 8 to 24 samples
+_FEWEST_AHEAD, _MOST_AHEAD = 8, 24
 _PAST = 4
 _TIME_CONSTANTS = 3.0  # within which a lag of first order settles
 _LEAST_RECORDED = _WEEK
@@ -51,7 +51,7 @@ _WEATHER = ("TDryBul", "HGloHor")
 _BEAMS = ("HDirNor", "HDifHor")
 _READER = re.compile(r"(?:rea)?(?:Wea)?(?P<column>[A-Za-z]\w*)")
 _OCCUPANTS = re.compile(r"(?:rea)?Occ(?:upancy)?(?:Zone?)?(?P<zone>\w*)")
-_OFF = 0.02  # of a band's width: what prices may draw an output beyond it
+_OFF = 0.005  # of a band's width: what prices may draw an output beyond it
 _MARGIN = 0.1  # of a band's width: how far within it those stay that know no bands
 _OUTPUT_WEIGHT, _INPUT_WEIGHT = 10.0, 1e-3
 _ELECTRIC = "ElectricPower"
@@ -99,15 +99,22 @@ class Building:
         """Outputs that are temperatures of zones, each with the columns of its comfort band."""
         return {
             output: (edges[0], edges[1])
-            for zone, output in self._outputs_of(*TEMPERATURES)
-            if (edges := self._columns_of_zone(zone, "LowerSetp", "UpperSetp"))
+            for zone, output in self._sources(*TEMPERATURES)
+            if output in self.description.outputs
+            and (edges := self._columns_of_zone(zone, "LowerSetp", "UpperSetp"))
         }
 
-    def _outputs_of(self, *kinds: str) -> Iterator[tuple[str, str]]:
-        """Yield the outputs of the sources of some kinds, that exist, each after its source."""
-        for source, outputs in self.resources.key_figures.items():
+    @property
+    def signals(self) -> dict[str, Variable]:
+        """Inputs and outputs by name."""
+        return {**self.description.inputs, **self.description.outputs}
+
+    def _sources(self, *kinds: str) -> Iterator[tuple[str, str]]:
+        """Yield the signals of the sources of some kinds, those that exist, each after its source."""
+        known = self.signals
+        for source, names in self.resources.key_figures.items():
             if kind_of(source) in kinds:
-                yield from ((source, name) for name in outputs if name in self.description.outputs)
+                yield from ((source, name) for name in names if name in known)
 
     def _columns_of_zone(self, source: str, *names: str) -> tuple[str, ...]:
         """Return the columns of the zone of a source; none unless all of them are there."""
@@ -200,7 +207,7 @@ class Building:
     def prices(self) -> tuple[dict[str, Price], dict[str, dict[str, SignalFromResource]]]:
         """Return the price of each power that has one, and those of other kinds by kind and name."""
         prices, kinds = dict[str, Price](), dict[str, dict[str, SignalFromResource]]()
-        paid = [*self._outputs_of(*POWERS)]
+        paid = [*self._sources(*POWERS)]
         electric = [name for source, name in paid if source == _ELECTRIC]
         for source, output in paid:
             columns = self._price_columns(source)
@@ -249,9 +256,9 @@ class Building:
     def key_figures(self, controlled: Sequence[str], paid: Sequence[str]) -> KeyFiguresSection:
         """Return BOPTEST's key figures, of those sources whose limits and prices are known."""
         bands = {name: self.band(name) for name in self.zones if name not in controlled}
-        for source, output in self._outputs_of(CO2):
+        for source, output in self._sources(CO2):
             if columns := self._columns_of_zone(source, "UpperCO2"):
-                upper = self.signal(columns[0], self.description.outputs[output])
+                upper = self.signal(columns[0], self.signals[output])
                 bands[output] = BandSection(band=Band(0.0, upper))
         known = {*controlled, *bands, *paid}
         said = self.resources.key_figures
@@ -305,8 +312,9 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
     prices, _ = building.prices()
     switches = building.description.switches
     applied = [applied_output(name) for name in driven if name in switches]
-    further = [price.signal for price in prices.values()]
-    further += [name for name in applied if name in building.description.outputs]
+    outputs = building.description.outputs
+    paid = [price.signal for price in prices.values()]
+    further = [name for name in (*paid, *applied) if name in outputs]
     measured = [*dict.fromkeys([*study.plant.measurements, *further])]
     warm_up = building.resources.warm_up or (_WEEK if building.resources.days else 0.0)
     duration = request.duration or clean(math.floor(_FORTNIGHT / h) * h)
@@ -342,10 +350,9 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
         scenarios=scenarios,
         recording=recording,
         controllers=controllers,
-        metrics=MetricsSection(key_figures=building.key_figures(study.plant.outputs, further)),
+        metrics=MetricsSection(key_figures=building.key_figures(study.plant.outputs, paid)),
         report=ReportSection(baseline=_PLANT) if _PLANT in controllers else study.report,
     )
-    outputs = building.description.outputs
     return replace(
         changed,
         measurements=tuple(outputs[name] for name in measured),
@@ -355,8 +362,11 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
 
 def _of_powers(building: Building, prices: Mapping[str, Price]) -> dict[str, float]:
     """Return about how large the powers are that declare no nominal value."""
-    outputs = {price.signal: building.description.outputs[price.signal] for price in prices.values()}
-    return {name: clean(building.power(v)) for name, v in outputs.items() if v.nominal == 1.0}
+    paid = {price.signal: building.signals[price.signal] for price in prices.values()}
+    outputs = building.description.outputs
+    return {
+        name: clean(building.power(v)) for name, v in paid.items() if name in outputs and v.nominal == 1.0
+    }
 
 
 def _is_untold(known: Mapping[str, KnownDisturbance], name: str) -> bool:
@@ -443,7 +453,7 @@ def _price_weight(
         if (name := variable.name) in bands:
             worth += 2 * _OUTPUT_WEIGHT * _OFF * building.width(name) * seen * effect / nominal[name] ** 2
     for price in prices.values():
-        paid = building.description.outputs[price.signal]
+        paid = building.signals[price.signal]
         rate = price.charge(price.signal, paid).rate
         power = max(power, _mean(building, price.price) * rate * building.power(paid) * h)
     return float(f"{worth / power:.2g}") if worth > 0.0 and power > 0.0 else 0.0

@@ -30,7 +30,7 @@ class Embedded:
     levels : mapping of str to float
         Those that an output tells, in their units.
     held : array, shape (p,)
-        The outputs meanwhile, on average; empty if it does not run so.
+        The outputs meanwhile, on average, perhaps others after them; empty if it does not run so.
     """
 
     overrides: tuple[str, ...] = ()
@@ -101,8 +101,6 @@ def embedded_control(
         return Embedded()
     h = timing.step if timing.fixed else timing.step * BLOCK * 2.0**timing.blocks / _STEPS
     try:
-        with open_plant(start=dict.fromkeys(switches.values(), 0.0)) as plant:
-            own = len(plant.outputs)
         with open_plant(start=dict.fromkeys(switches.values(), 0.0), also=applied) as plant:
             u = np.array([variable.start for variable in plant.inputs])
             plant.plan(h, _STEPS * h)
@@ -116,4 +114,4 @@ def embedded_control(
         return Embedded(tuple(switches))
     told = {name: outputs.index(y) for name in switches if (y := applied_output(name)) in outputs}
     levels = {name: float(held[place]) for name, place in told.items() if held[place]}
-    return Embedded(tuple(switches), levels, held[:own])
+    return Embedded(tuple(switches), levels, held)

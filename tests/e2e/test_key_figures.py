@@ -72,7 +72,9 @@ SOURCES = {
 BANDS = {
     "envelope_temperature": {"band": {"lower": 19.6, "upper": 20.0}, "unit": "degC"},
     "heater_temperature": {"band": {"lower": 21.0, "upper": 23.0}, "unit": "degC"},
-    "co2": {"band": {"lower": 0.0, "upper": {"kind": "steps", "times": [0.0, 3e4], "values": [840.0, 845.0]}}},
+    "co2": {
+        "band": {"lower": 0.0, "upper": {"kind": "steps", "times": [0.0, 3e4], "values": [840.0, 845.0]}}
+    },
 }
 TABLE = {"set": "boptest", "area": AREA, "sources": SOURCES, "bands": BANDS}
 TARIFF = Steps([0.0, 7 * 3600.0, 21 * 3600.0], [0.1, 0.3, 0.1])
