@@ -301,6 +301,10 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     ]
     if study.metrics.ranking is not None:
         facts.append(("ranking", study.metrics.ranking))
+    key_figures = study.metrics.key_figures
+    facts += [
+        (f"key figures: {kind}", text) for kind, text in (_others(key_figures, ()) if key_figures else ())
+    ]
     facts.append(("seeds", compact_seeds(study.seeds)))
     own_limits = any(section.bounds for section in study.controllers.values())
     but = ", but for limits of their own" if own_limits else ""
