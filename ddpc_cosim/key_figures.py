@@ -29,7 +29,8 @@ UNUSED = ("RadiativeZoneTemperature", "RelativeHumidity")
 """Sources that BOPTEST knows and has no key figure of."""
 SOURCES = (*POWERS, WATER, *(f"{kind}[1]" for kind in (*TEMPERATURES, CO2, TRAVEL, *UNUSED)))
 """Names of all sources, of zones the first."""
-_UNITS = dict.fromkeys(POWERS, "W") | dict.fromkeys(TEMPERATURES, "K") | {CO2: "ppm", WATER: "m3/s"}
+UNITS = dict.fromkeys(POWERS, "W") | dict.fromkeys(TEMPERATURES, "K") | {CO2: "ppm", WATER: "m3/s"}
+"""In which units key figures take the signals of a source."""
 _KWH = 3.6e6  # J
 _HOUR = 3600.0  # s
 
@@ -55,7 +56,7 @@ def factor_of(source: str, unit: str) -> float:
     ValueError
         It is not of that quantity.
     """
-    needed = _UNITS.get(kind_of(source), unit)
+    needed = UNITS.get(kind_of(source), unit)
     return 1.0 if unit in ("", needed) else display_unit(unit, needed).factor
 
 
@@ -206,5 +207,5 @@ class KeyFigures:
         return sum(figure(self._signal(signal)) for _, signal in tagged(self.tags, *kinds))
 
     def _signal(self, name: str) -> TaggedSignal:
-        nothing = TaggedSignal(np.full(1, np.nan), self.sampling_time)
+        nothing = TaggedSignal(np.full(2, np.nan), self.sampling_time)
         return self.signals.get(name, nothing)

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+from ddpc_cosim.description import KeyFigureTags
 from ddpc_cosim.errors import DataError
 from ddpc_cosim.files.texts import clipped, printable
 from ddpc_cosim.files.time_tables import LARGEST, TimeTable, base_name, read_time_table
@@ -71,6 +72,17 @@ def unit_of(table: TimeTable, column: str) -> str:
     return table.units.get(column) or usual_unit(column)
 
 
+class Files(Protocol):
+    """Files by name, which are read when they are asked for."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+
+    def content(self, name: str, most: int) -> bytes:
+        """Return a file, of ``most`` bytes at most; DataError: it cannot be read, or is larger."""
+
+
 class ResourceFiles:
     """The files in the folder ``resources`` of an FMU, which are read when they are asked for.
 
@@ -117,12 +129,53 @@ class ResourceFiles:
         except (*DAMAGED, NotImplementedError, OSError) as error:
             raise DataError(f"{name}: cannot be read: {error}") from error
         if len(content) > most:
-            raise DataError(f"{name}: is too large; allowed: {most / 1e6:g} MB")
+            raise _too_large(name, most)
         return content
 
     def table(self, name: str) -> TimeTable:
         """Return a file as a table over time; DataError: it is none, or cannot be read."""
         return read_time_table(name, self.content(name, LARGEST))
+
+
+class ModelFiles:
+    """The texts that a plant of equations has for the resources of its FMU, tables excepted.
+
+    Parameters
+    ----------
+    texts : mapping of str to str or callable
+        The texts, or what makes them, by name.
+    """
+
+    def __init__(self, texts: Mapping[str, str | Callable[[], str]]) -> None:
+        self._texts = texts
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self._texts)
+
+    def content(self, name: str, most: int) -> bytes:
+        """Return a file; DataError: it is larger than ``most`` bytes."""
+        text = self._texts[name]
+        content = (text if isinstance(text, str) else text()).encode()
+        if len(content) > most:
+            raise _too_large(name, most)
+        return content
+
+
+def _too_large(name: str, most: int) -> DataError:
+    return DataError(f"{name}: is too large; allowed: {most / 1e6:g} MB")
+
+
+def _ignore(_: str) -> None:
+    """Let a fault go by, which `inspect` tells."""
+
+
+def key_figure_tags(files: Files) -> KeyFigureTags | None:
+    """Return what key figures are of by ``config.json`` and ``kpis.json``; None where these do not say it."""
+    area = _number(_json(files, "config.json", _ignore), "area", _ignore, above=0.0)
+    sources = dict(_key_figures(_json(files, "kpis.json", _ignore), _ignore))
+    return None if area is None or not sources else KeyFigureTags(area, sources)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +246,7 @@ def read_resources(path: Path, findings: Findings) -> Resources:
 Tell = Callable[[str], None]
 
 
-def _json(files: ResourceFiles, name: str, tell: Tell) -> dict[str, Any]:
+def _json(files: Files, name: str, tell: Tell) -> dict[str, Any]:
     """Return the object that a JSON file holds; an empty one where it is not there or is none."""
     if name not in files.names:
         return {}

@@ -738,7 +738,7 @@ def cases_of_problem(
     """
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
-    events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
+    events = {name: _events(scenario, study.loop.of(scenario)) for name, scenario in study.scenarios.items()}
     recording = {"recording": resolved.recording.digest if resolved.recording else None}
     warm_up = resolved.warm_up_controller
     warm_up_controller = None if warm_up is None else _type_and_settings(warm_up)
@@ -763,7 +763,7 @@ def cases_of_problem(
                 measurements=resolved.measurements,
                 sampling_time=study.loop.sampling_time,
                 duration=study.loop.duration,
-                start_time=study.loop.start_time,
+                start_time=study.loop.of(scenario).start_time,
                 continue_recording=study.loop.start == "recording-end",
                 reference=resolved.reference,
                 bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
@@ -814,7 +814,7 @@ def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | Non
         recording = scenario.recording.of(recording)
     if recording is None:
         return None
-    return recording.begins(study.loop, is_disturbed=bool(study.disturbances))
+    return recording.begins(study.loop.of(scenario), is_disturbed=bool(study.disturbances))
 
 
 def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:

@@ -8,6 +8,7 @@ from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.signals.disturbances import KnownDisturbance, RunTimes, is_foretelling
 from ddpc_cosim.signals.signals import Reference, SignalFromFile, SignalFromResource
+from ddpc_cosim.study.file_format.sections import LoopSection, ScenarioSection
 from ddpc_cosim.study.selection import SelectedSignals
 from ddpc_cosim.variables import Variable
 
@@ -149,11 +150,13 @@ class Disturbances:
     @independent
     def _check_reach(self) -> None:
         """Report files that end before the run and its forecasts do, or begin after the experiment."""
-        loop = self.study.loop
-        begin, ahead = loop.start_time - loop.warm_up, self._horizon * loop.sampling_time
-        experiment = self._experiment()
+        loop, study = self.study.loop, self.study
+        ahead = self._horizon * loop.sampling_time
+        experiments = [times for name in study.scenarios if (times := self._experiment(name)) is not None]
+        experiment = (min(b for b, _ in experiments), max(e for _, e in experiments)) if experiments else None
         for place, signal, acts_in, is_ahead in self._said():
-            first, last = begin, loop.end + ahead * is_ahead
+            begin, end = self._selected.span_at(place)
+            first, last = begin, end + ahead * is_ahead
             if experiment is not None and acts_in == "experiment":
                 first, last = experiment[0], experiment[1] - loop.sampling_time
             elif experiment is not None and acts_in == "both":
@@ -172,9 +175,10 @@ class Disturbances:
         if forecast is None:
             return
         place = (*_DISTURBANCES, name, "forecast")
-        times = RunTimes(loop.start_time, loop.sampling_time, loop.steps + 1)
+        runs = [RunTimes(each.start_time, loop.sampling_time, loop.steps + 1) for each in self.study.loops]
         try:
-            forecast.read(variable, times, self._horizon)
+            for times in runs:
+                forecast.read(variable, times, self._horizon)
         except DataError as error:
             for fault in error.faults:
                 self.errors.add((*place, "file"), fault, ("loop",))
@@ -182,39 +186,40 @@ class Disturbances:
             for fault in error.faults:
                 self.errors.add((*place, "unit"), fault)
 
-    def _experiment(self) -> tuple[float, float] | None:
-        """Return when the experiments of all scenarios begin and end [s]; None without one."""
-        loop, recording = self.study.loop, self.study.recording
+    def _experiment(self, scenario: str) -> tuple[float, float] | None:
+        """Return when the experiment of a scenario begins and ends [s]; None without one."""
+        section, recording = self.study.scenarios[scenario], self.study.recording
         if recording is None:
             return None
-        times = list[tuple[float, float]]()
-        for scenario in self.study.scenarios.values():
-            changed = scenario.recording.of(recording) if scenario.recording is not None else recording
-            begin = changed.begins(loop, is_disturbed=bool(self._sections))
-            if begin is not None and changed.samples is not None:
-                times.append((begin, begin + changed.samples * loop.sampling_time))
-        return (min(begin for begin, _ in times), max(end for _, end in times)) if times else None
+        loop = self.study.loop.of(section)
+        changed = section.recording.of(recording) if section.recording is not None else recording
+        begin = changed.begins(loop, is_disturbed=bool(self._sections))
+        if begin is None or changed.samples is None:
+            return None
+        return begin, begin + changed.samples * loop.sampling_time
 
     @independent
     def _check_times(self) -> None:
         """Report a disturbance that acts in the run as it did in the experiment, which data would tell."""
-        loop, experiment = self.study.loop, self._experiment()
-        if experiment is None:
-            return
+        for scenario, section in self.study.scenarios.items():
+            loop, experiment = self.study.loop.of(section), self._experiment(scenario)
+            if experiment is None:
+                continue
+            begin, end = experiment
+            if min(end, loop.end) - max(begin, loop.start_time) > _ROUNDED * loop.sampling_time:
+                self._check_repeated(section, loop, experiment)
+
+    def _check_repeated(
+        self, section: ScenarioSection, loop: LoopSection, experiment: tuple[float, float]
+    ) -> None:
+        """Report what an experiment at the time of a scenario's run would show of it."""
         begin, end = experiment
-        if min(end, loop.end) - max(begin, loop.start_time) <= _ROUNDED * loop.sampling_time:
-            return
         times = f"{in_words(begin)} to {in_words(end)}"
         run = f"{in_words(loop.start_time)} to {in_words(loop.end)}"
         recorded = self.recorded or {}
-        said = {scenario: section.inputs for scenario, section in self.study.scenarios.items()}
         for name in self.of_inputs:
-            own = self.signals.get(name)
-            signals = [inputs.get(name, own) for inputs in said.values()]
-            is_same = any(
-                signal is not None and signal == recorded.get(name, signal) and is_foretelling(signal)
-                for signal in signals
-            )
+            signal = section.inputs.get(name, self.signals.get(name))
+            is_same = signal is not None and signal == recorded.get(name, signal) and is_foretelling(signal)
             if is_same:
                 remedy = f"begin it at {in_words(loop.start_time - (end - begin))} or before, or give "
                 remedy += f"recording.disturbances.{name}"

@@ -10,6 +10,7 @@ from ddpc_cosim.key_figures import (
     POWERS,
     SOURCES,
     TEMPERATURES,
+    UNITS,
     UNUSED,
     WATER,
     factor_of,
@@ -82,7 +83,7 @@ class StudyKeyFigures:
             listed = " and ".join(missing)
             what = f"{listed} missing, and the plant does not say so ({_PLANT_SAYS})"
             needed = '{ set = "boptest", area = 120.0, sources = { ElectricPower = ["..."] } }'
-            self.errors.add(_PLACE, f"{what}; needed: as {needed}")
+            self.errors.add(_PLACE, f"{what}; needed: as {needed}", *((*_PLACE, key) for key in missing))
             return None
         used = {source: list(outputs) for source, outputs in sources.items() if is_source(source)}
         for source in section.sources:
@@ -102,20 +103,20 @@ class StudyKeyFigures:
             try:
                 factor_of(source, unit)
             except ValueError:
-                self.errors.add(place, f"{name} is in {unit}; needed: a signal of {kind_of(source)}")
+                needed = f"needed: one in {UNITS[kind_of(source)]}, or in another unit of the same"
+                self.errors.add(place, f"{name} is in {unit}; {needed}")
 
     @independent
     def _bands(self, section: KeyFiguresSection, built: Built) -> dict[str, Band | None]:
         """Return the bands that are said for key figures alone."""
         self.errors.require_known(_BANDS, "output", section.bands, self._outputs)
-        loop = self.study.loop
         bands = dict[str, Band | None]()
         for name, said in section.bands.items():
             if name in self._outputs:
                 place = (*_BANDS, name)
                 bands[name] = built(place, said, self._outputs[name])
                 for key, edge in (("lower", said.band.lower), ("upper", said.band.upper)):
-                    check_reach(self._selected, (*place, "band", key), edge, loop.start_time, loop.end)
+                    check_reach(self._selected, (*place, "band", key), edge, *self._selected.span_at(place))
         return bands
 
     @independent

@@ -131,6 +131,8 @@ class Scenario:
         How many future references a controller may see, or as many as it asks for; default: the problem's.
     excitation : Excitation, optional
         The experiment in place of the problem's.
+    start_time : float, str or date, optional
+        Time of the first sample in place of the problem's [s]; also a date or a day of the year.
     """
 
     label: str = ""
@@ -144,6 +146,7 @@ class Scenario:
     bounds: Bounds = field(default_factory=dict)
     preview: int | Literal["horizon"] | None = None
     excitation: Excitation | None = None
+    start_time: float | str | date | None = None
 
     def table(self, inputs: Sequence[str] = ()) -> Table:
         """Return the scenario as a study file says it.

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from ddpc_cosim.fmu.companions import Companions
     from ddpc_cosim.fmu.description import FMUDescription
     from ddpc_cosim.study.file_format.sections import PartSection, PlantSection
+    from fmu_plants.model import InputTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +218,11 @@ class PlantSpec:
         if self.coupled:
             return self.coupled.variables()
         if self.fmu:
-            return _fmu_variables(read_fmu(Path(self.fmu)), Path(self.fmu).name, self.fmi_type)
+            from ddpc_cosim.fmu.resources import ResourceFiles, key_figure_tags
+
+            path = Path(self.fmu)
+            described = _fmu_variables(read_fmu(path), path.name, self.fmi_type)
+            return replace(described, key_figures=key_figure_tags(ResourceFiles(path)))
         plugin = self._plugin()
         if _is_model(plugin):
             return _model_variables(plugin)
@@ -247,7 +252,7 @@ class PlantSpec:
             files = ResourceFiles(Path(self.fmu))
             return PlantTables({name: partial(files.table, name) for name in files.tables})
         plugin = self._plugin()
-        tables = getattr(plugin, "tables", ()) if _is_model(plugin) else ()
+        tables = plugin.tables if _is_model(plugin) else ()
         return PlantTables({table.file: partial(_table_of_model, table) for table in tables})
 
     def built(self) -> Self:
@@ -361,12 +366,11 @@ class PlantTables:
         return self._read[name]
 
 
-def _table_of_model(table: Any) -> TimeTable:
+def _table_of_model(table: "InputTable") -> TimeTable:
     """Return a table of a plant of equations, as its FMU has it in a file."""
     time, values = table.values()
-    columns = tuple(table.headers.get(variable.name, variable.name) for variable in table.variables)
-    units = {column: v.unit for column, v in zip(columns, table.variables, strict=True) if v.unit}
-    return TimeTable(table.file, time, values, columns, units)
+    units = {column: v.unit for column, v in zip(table.heads, table.variables, strict=True) if v.unit}
+    return TimeTable(table.file, time, values, table.heads, units)
 
 
 def _coupled(section: "PlantSection") -> CoupledSpec:
@@ -494,13 +498,18 @@ def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType)
 
 def _model_variables(model: Any) -> PlantDescription:
     tunable = frozenset(v.name for v in model.parameters if v.variability == "tunable")
-    return describe(
-        model.inputs,
+    described = describe(
+        model.all_inputs,
         model.outputs,
         model.parameters,
         tunable,
         DefaultExperiment(None, model.stop_time, None, model.step_size),
     )
+    if not model.resources:
+        return described
+    from ddpc_cosim.fmu.resources import ModelFiles, key_figure_tags
+
+    return replace(described, key_figures=key_figure_tags(ModelFiles(model.resources)))
 
 
 class PythonPlant(Plant):

@@ -108,7 +108,7 @@ class Prices:
         signal = self._selected.level(place, level, variable, unit, of_unit)
         if signal is None:
             return None
-        loop = self.study.loop
-        end = loop.end + self._horizon * loop.sampling_time
-        check_reach(self._selected, place, level, loop.start_time - loop.warm_up, end)
+        begin, end = self._selected.span_at(place)
+        ahead = self._horizon * self.study.loop.sampling_time
+        check_reach(self._selected, place, level, begin, end + ahead)
         return signal

@@ -110,13 +110,14 @@ def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
     controlled = {name: problem for name, problem in problems.items() if problem.outputs}
     for name, problem in controlled.items():
         loop = problem.study.loop
-        time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+        samples = np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
         by_text: dict[str, list[tuple[str, str]]] = {}
         pairs = [
             (controller, scenario) for controller in problem.bounds for scenario in problem.scenario_bounds
         ]
         for controller, scenario in pairs:
             limits = problem.bounds[controller] | problem.scenario_bounds[scenario]
+            time = loop.of(problem.study.scenarios[scenario]).start_time + samples
             y_min, y_max = _tables(problem, limits, time)
             table = _wanted(problem, y_min, y_max, time)
             for text in references_beyond_limits(problem.outputs, table, y_min, y_max):

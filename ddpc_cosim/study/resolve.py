@@ -700,10 +700,10 @@ class _Resolution:
             self.errors.add(place, f"{low} is above {high} {when}; {needed}")
 
     def _times(self) -> FloatArray:
-        """Return the times of all samples [s], and of those as far ahead as any controller looks."""
+        """Return the times of all runs' samples [s], and of those as far ahead as any controller looks."""
         loop = self.study.loop
-        count = loop.steps + 1 + self.horizon
-        return loop.start_time + np.arange(count, dtype=np.float64) * loop.sampling_time
+        samples = np.arange(loop.steps + 1 + self.horizon, dtype=np.float64) * loop.sampling_time
+        return np.concatenate([each.start_time + samples for each in self.study.loops])
 
     @independent
     def _shared_bounds(self) -> Limits:
@@ -746,8 +746,7 @@ class _Resolution:
                 signal = self.signals.level((*place, key), level, variable, section.unit, (*place, "unit"))
                 if signal is None:
                     return None
-                loop = self.study.loop
-                check_reach(self.signals, (*place, key), level, loop.start_time - loop.warm_up, loop.end)
+                check_reach(self.signals, (*place, key), level, *self.signals.span_at(place))
                 signal = signal if isinstance(level, Reference) else float(signal.at(np.zeros(1))[0])
             limits.append(of_plant if signal is None else signal)
         low, high = limits

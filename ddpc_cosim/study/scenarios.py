@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from ddpc_cosim.codec import Section, declared_fields, independent
 from ddpc_cosim.conditions import Conditions, all_conditions, may_have
-from ddpc_cosim.errors import Place
+from ddpc_cosim.errors import ConfigError, Place
 from ddpc_cosim.files.durations import shown
-from ddpc_cosim.loop.setup import late_error
+from ddpc_cosim.loop.setup import end_time, late_error
 from ddpc_cosim.signals.excitations import Excitation
 from ddpc_cosim.signals.signals import Constant, Drift, ParameterChange, Ramp, Reference, Steps
 from ddpc_cosim.study.disturbances import Disturbances
@@ -35,13 +35,15 @@ class Scenarios:
             at, noisy = (*place, "parameters"), (*place, "noise")
             check_parameters(self.errors, at, "parameter", scenario.parameters, parameters)
             self.errors.require_known(noisy, "measurement", scenario.noise, self._measured)
+            self._check_start((*place, "start_time"), scenario)
             for i, event in enumerate(scenario.events):
-                self._check_in_run((*place, "events", i), event, "time")
+                self._check_in_run((*place, "events", i), event, "time", scenario)
                 self._check_event((*place, "events", i), event, tunable)
             for i, drift in enumerate(scenario.drifts):
-                self._check_in_run((*place, "drifts", i), drift, "from_time")
-                for key in ("parameter", "from_value", "to_value", "to_time"):
+                self._check_in_run((*place, "drifts", i), drift, "from_time", scenario)
+                for key in ("parameter", "from_value", "to_value"):
                     self._check_drift((*place, "drifts", i), drift, key, tunable)
+                self._check_drift_begins((*place, "drifts", i, "to_time"), drift, scenario)
 
     @independent
     def conditions(self, name: str) -> Conditions | None:
@@ -70,7 +72,7 @@ class Scenarios:
         for signal, parts in scenario.disturbances.items():
             at = (*place, "disturbances", signal)
             for i, part in enumerate(parts):
-                self._check_disturbance((*at, i), part)
+                self._check_disturbance((*at, i), part, scenario)
             if signal in variables:
                 sections, same = dict(enumerate(parts)), dict.fromkeys(range(len(parts)), variables[signal])
                 disturbances[signal] = tuple(self.signals.build(at, sections, same, difference=True).values())
@@ -110,12 +112,12 @@ class Scenarios:
         return self.signals.experiment(recording, place)
 
     @independent
-    def _check_in_run(self, place: Place, change: Section, key: str) -> None:
+    def _check_in_run(self, place: Place, change: Section, key: str, scenario: ScenarioSection) -> None:
         """Report a change that would never act on the plant; the scenario would not be what it says."""
         when = getattr(change, declared_fields(type(change))[key].name)
-        late = late_error(when, self.study.loop.end)
+        late = late_error(when, self.study.loop.of(scenario).end)
         if late:
-            self.errors.add((*place, key), late, ("loop", "start_time"))
+            self.errors.add((*place, key), late, *self._on_start(place))
 
     @independent
     def _check_event(self, place: Place, event: ParameterChange, tunable: Mapping[str, Variable]) -> None:
@@ -126,12 +128,36 @@ class Scenarios:
         value, at = getattr(drift, declared_fields(Drift)[key].name), (*place, key)
         if key == "parameter":
             self.errors.require_known(at, "tunable parameter", [value], tunable)
-        elif key != "to_time":
+        else:
             check_value(self.errors, at, value, tunable.get(drift.parameter))
-        elif value <= self.study.loop.start_time:
-            start = f"t = {shown(self.study.loop.start_time)}"
+
+    @independent
+    def _check_drift_begins(self, place: Place, drift: Drift, scenario: ScenarioSection) -> None:
+        begin = self.study.loop.of(scenario).start_time
+        if drift.stop_time <= begin:
+            start = f"t = {shown(begin)}"
             over = f"it would be over when the run starts at {start}; use the scenario's parameters"
-            self.errors.add(at, over, ("loop", "start_time"))
+            self.errors.add(place, over, *self._on_start(place))
+
+    @staticmethod
+    def _on_start(place: Place) -> tuple[Place, Place]:
+        """Return where it is said when the run of a scenario begins, a place in which is given."""
+        return ("loop", "start_time"), (*place[:2], "start_time")
+
+    @independent
+    def _check_start(self, place: Place, scenario: ScenarioSection) -> None:
+        """Report a time of the first sample at which a run cannot begin."""
+        loop = self.study.loop
+        if scenario.start_time is None:
+            return
+        if loop.start == "recording-end":
+            what = 'loop.start = "recording-end" goes on when the experiment ends; leave one of them out'
+            self.errors.add(place, what, ("loop", "start"))
+        try:
+            end_time(scenario.start_time, loop.steps, loop.sampling_time)
+        except ConfigError as error:
+            for fault in error.faults:
+                self.errors.add(place, fault, ("loop",))
 
     def _check_undriven(self, place: Place, scenario: ScenarioSection, name: str) -> None:
         """Check that nothing else decides the value of an input that has a signal."""
@@ -162,14 +188,14 @@ class Scenarios:
             self.errors.add(place, fault)
 
     @independent
-    def _check_disturbance(self, place: Place, signal: Reference) -> None:
+    def _check_disturbance(self, place: Place, signal: Reference, scenario: ScenarioSection) -> None:
         """Report steps and ramps that begin when the run is over."""
-        loop = self.study.loop
+        loop = self.study.loop.of(scenario)
         begins = {"times": signal.times} if type(signal) is Steps else {}
         begins |= {"from_time": [signal.start_time]} if isinstance(signal, Ramp) else {}
         for key, times in begins.items():
             for late in filter(None, (late_error(t, loop.end) for t in times)):
-                self.errors.add((*place, key), late, ("loop", "start_time"))
+                self.errors.add((*place, key), late, *self._on_start(place))
 
     def undriven(self, name: str) -> tuple[Variable, ...]:
         """Return the inputs that have a signal in a scenario, or while it is recorded."""

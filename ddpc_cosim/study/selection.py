@@ -164,6 +164,16 @@ class SelectedSignals:
             return None
         return tabled
 
+    def span_at(self, place: Place) -> tuple[float, float]:
+        """Return when what stands at a place begins to count and when it ends [s], warm-up included.
+
+        What stands in a scenario counts in its run, all else in those of all scenarios.
+        """
+        if place[:1] != ("scenarios",):
+            return self.study.span
+        loop = self.study.loop.of(self.study.scenarios[str(place[1])])
+        return loop.start_time - loop.warm_up, loop.end
+
     def tabled(self, signal: SignalFromResource) -> SignalFromResource:
         """Return a signal with its table; DataError: the plant has none of that name that can be read."""
         return replace(signal, table=self.tables.table(signal.file))

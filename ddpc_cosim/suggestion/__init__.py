@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ddpc_cosim.fmu.description import choose_interface, describe_plant
 from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.fmu.resources import Resources
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.signals.signals import Reference
@@ -28,6 +30,7 @@ from ddpc_cosim.study.file_format.sections import (
 )
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.acting import Acting
+from ddpc_cosim.suggestion.buildings import Building, as_proposed, in_use, shortened
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.joining import Joined, join
@@ -46,7 +49,7 @@ from ddpc_cosim.suggestion.roles import (
 )
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.systems import System
-from ddpc_cosim.suggestion.trial import Tell, tried_out
+from ddpc_cosim.suggestion.trial import Tell, tried_once, tried_out
 from ddpc_cosim.suggestion.values import AskedRange, OperatingPoint, operating_point, with_own_units
 from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
@@ -135,23 +138,32 @@ def suggest_study(
     deadline = monotonic() + budget
     tell(f"reading {label}")
     title = joined.title if joined else path.stem
-    description, steps, title = (system.description, None, title) if system else _runnable(path, libraries)
+    steps, building = None, None
+    if system:
+        description = system.description
+    else:
+        description, steps, title, resources = _runnable(path, libraries)
+        building = Building.of(resources, description)
     levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
     request = Request(levels, spans, sampling_time, duration, inputs, outputs)
     request.check(description, label, steps, faults)
     roles = _roles(description, request)
     driven, drives_too = _candidates(description, label, request, "input", roles)
     read, reads_too = _candidates(description, label, request, "output", roles)
+    if building and outputs is None:
+        read, reads_too = list(building.zones), []
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
     timing = replace(_timing(description, request), budget=share * budget)
+    if building:
+        timing = building.within_a_season(timing)
     tell(f"step test of {label}")
     overrides = {switch: 1.0 for name, switch in description.switches.items() if name in driven}
 
-    def open_plant(start: Mapping[str, float]) -> TestedPlant:
-        """Open the plant, whose inputs the study is to drive, at levels of its inputs."""
+    def open_plant(start: Mapping[str, float], also: Sequence[str] = ()) -> TestedPlant:
+        """Open the plant, whose inputs the study is to drive, at levels of its inputs; read others too."""
         return (system.open if system else partial(FMUPlant, path, isolated=True, library_path=libraries))(
             inputs=driven,
-            outputs=read,
+            outputs=[*dict.fromkeys([*read, *also])],
             start={**overrides, **start},
             step_timeout=min(step_timeout, timing.budget),
             sandbox=sandbox,
@@ -175,16 +187,30 @@ def suggest_study(
         )
     check_identified(label, point)
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
+    on_step = tuple[str, ...]()
+    if building and sampling_time is None:
+        sample, on_step = building.sampling_time(sample)
     plant = (
         system.section(sample) if system else PlantSection(fmu=str(path.resolve()), library_path=libraries)
     )
     plant = replace(plant, parameters=request.parameters(description))
     proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
-    if trial:
-        proposal = tried_out(proposal, time.monotonic() + deadline - monotonic(), tell, sandboxed=sandbox)
+    if building:
+        proposal = in_use(proposal, building, request, point.choice.time_scale)
+    until = time.monotonic() + deadline - monotonic()
+    if trial and building:
+        proposal = as_proposed(tried_once(shortened(proposal), until, tell, sandboxed=sandbox), proposal)
+    elif trial:
+        proposal = tried_out(proposal, until, tell, sandboxed=sandbox)
     controller = controller_words(point.inputs, point.outputs, point.tested)
     of_system = (*(joined.remarks if joined else ()), *(system.remarks if system else ()))
-    head = (*proposal.comments.get("head", ()), *(() if system else controller), *point.remarks, *of_system)
+    head = (
+        *proposal.comments.get("head", ()),
+        *on_step,
+        *(() if system else controller),
+        *point.remarks,
+        *of_system,
+    )
     reasons = joined.reasons if joined else ()
     return replace(proposal, comments={**proposal.comments, "head": head}, reasons=reasons)
 
@@ -249,19 +275,29 @@ def _joined(paths: Sequence[Path]) -> Joined:
     if archives := [path.name for path in paths if path.suffix.lower() == ".ssp"]:
         raise ConfigError(f"{', '.join(archives)}: an SSP is a system by itself; give it alone, or FMUs only")
     runnable = [_runnable(path) for path in paths]
-    titles = [title for _, _, title in runnable]
-    return join(paths, [description for description, _, _ in runnable], " and ".join(dict.fromkeys(titles)))
+    titles = [one.title for one in runnable]
+    return join(paths, [one.description for one in runnable], " and ".join(dict.fromkeys(titles)))
 
 
-def _runnable(path: Path, libraries: Sequence[str] = ()) -> tuple[PlantDescription, StepSizes, str]:
-    """Return the description of an FMU that nothing is known to keep from running, its steps and its name."""
+class _Runnable(NamedTuple):
+    """An FMU that nothing is known to keep from running."""
+
+    description: PlantDescription
+    steps: StepSizes
+    title: str
+    resources: Resources
+
+
+def _runnable(path: Path, libraries: Sequence[str] = ()) -> _Runnable:
+    """Return what an FMU is; FMUImportError: why it cannot run."""
     inspection = inspect_fmu(path, library_path=libraries)
     if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
         raise FMUImportError(f"{path.name}: {'; '.join(errors)}")
     declared = inspection.declared
     steps = StepSizes(declared, choose_interface(declared, "auto", path.name), path.name)
-    return describe_plant(declared, path.name, "auto"), steps, declared.model_name.strip() or path.stem
+    title = declared.model_name.strip() or path.stem
+    return _Runnable(describe_plant(declared, path.name, "auto"), steps, title, inspection.resources)
 
 
 def _roles(description: PlantDescription, request: Request) -> Roles:

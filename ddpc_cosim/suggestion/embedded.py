@@ -30,7 +30,7 @@ class Embedded:
     levels : mapping of str to float
         Those that an output tells, in their units.
     held : array, shape (p,)
-        The outputs meanwhile, on average; empty if it does not run so.
+        The outputs meanwhile, on average, perhaps others after them; empty if it does not run so.
     """
 
     overrides: tuple[str, ...] = ()
@@ -80,25 +80,28 @@ def embedded_control(
     switches: Mapping[str, str],
     parameters: Mapping[str, ParameterValue],
     timing: Timing,
+    applied: Sequence[str] = (),
 ) -> Embedded:
     """Run a plant under its own control, and return what that does with what it leaves to overrides.
 
     Parameters
     ----------
     open_plant : callable
-        Opens it; takes ``start``.
+        Opens it; takes ``start``, and ``also``, further outputs to read.
     switches : mapping of str to str
         The switches of the overrides that start at 0, by override.
     parameters : mapping of str to number or str
         What differs from the plant's defaults.
     timing : Timing
         What is known about time: the run is as long as those of the step test.
+    applied : sequence of str
+        The outputs that tell what acts as overrides.
     """
     if not switches:
         return Embedded()
     h = timing.step if timing.fixed else timing.step * BLOCK * 2.0**timing.blocks / _STEPS
     try:
-        with open_plant(start=dict.fromkeys(switches.values(), 0.0)) as plant:
+        with open_plant(start=dict.fromkeys(switches.values(), 0.0), also=applied) as plant:
             u = np.array([variable.start for variable in plant.inputs])
             plant.plan(h, _STEPS * h)
             plant.reset(parameters)

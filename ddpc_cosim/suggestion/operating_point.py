@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from ddpc_cosim.description import Declarations, switches_of
+from ddpc_cosim.description import Declarations, applied_output, switches_of
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
@@ -117,7 +117,8 @@ def find(
     parameters = request.parameters(description)
     resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
     switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
-    embedded = embedded_control(open_plant, switches, parameters, timing)
+    applied = [output for name in switches if description.signal(output := applied_output(name)) is not None]
+    embedded = embedded_control(open_plant, switches, parameters, timing, applied)
     usual = usual_levels(every, {**given, **embedded.levels}, request.ranges)
     remarks = [*remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
     start = {**usual, **embedded.levels, **given}

@@ -159,6 +159,21 @@ def tried_out(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: boo
         return _with_outcome(attempts, best, cut)
 
 
+def tried_once(proposal: Proposal, deadline: float, tell: Tell, *, sandboxed: bool = False) -> Proposal:
+    """Start every controller of a proposal and run its loop once; return what can be run, as it stands.
+
+    Parameters and errors as of :func:`tried_out`.
+    """
+    deadline = monotonic() + deadline - time.monotonic()
+    with ScratchFolder() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
+        attempt = _attempt(proposal, folder / "1", deadline, tell, sandboxed=sandboxed)
+        if not attempt.controllers:
+            what = f"{proposal.study.plant.label}: no controller that was tried runs to the end"
+            raise CosimError(f"{what}: {'; '.join(dict.fromkeys(attempt.dropped.values()))}")
+        return _with_outcome([attempt], attempt, [])
+
+
 def _attempt(proposal: Proposal, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool) -> _Attempt:
     """Run each controller of a proposal once, as far as time allows; leave out those that fail."""
     (folder / CASES_FOLDER).mkdir(parents=True)

@@ -10,6 +10,7 @@ import tomli_w
 
 from ddpc_cosim.codec import write_in_short
 from ddpc_cosim.errors import CosimError, Place
+from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.signals.signals import Steps
 from ddpc_cosim.study.file_format.sections import Study
@@ -142,6 +143,8 @@ def _not_finite(value: Any, place: str = "") -> Iterator[str]:
 def _remarks(proposal: Proposal) -> dict[Place, str]:
     """Return what stands beside values, by their places: units, descriptions, and where limits come from."""
     remarks: dict[Place, str] = {("loop", "sampling_time"): "s", ("loop", "duration"): "s"}
+    loop = proposal.study.loop
+    remarks |= {("loop", key): f"s, {in_words(getattr(loop, key))}" for key in ("start_time", "warm_up")}
     for key in ("inputs", "outputs", "measurements"):
         signals: Sequence[Variable] = getattr(proposal, key)
         remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}

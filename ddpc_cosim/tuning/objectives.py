@@ -159,7 +159,8 @@ def _or_infinite(value: float) -> float:
 def reference_spans(resolved: ResolvedStudy) -> dict[str, float]:
     """Return by how much each reference, or edge of a band, moves, in display units; else nominal values."""
     loop = resolved.study.loop
-    time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+    samples = np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+    time = np.concatenate([each.start_time + samples for each in resolved.study.loops])
     spans = dict[str, float]()
     for variable in resolved.outputs:
         wanted = resolved.reference[variable.name]

@@ -58,6 +58,7 @@ from ddpc_reports.shares import share_statements
 from ddpc_reports.tables.cases import cases_table, step_time_table
 from ddpc_reports.tables.controllers import (
     claims_table,
+    key_figures_table,
     limits_table,
     reproduction_statements,
     reproduction_table,
@@ -589,6 +590,7 @@ class _Part:
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
+            ("key-figures", "Key figures", self._each(_key_figures_blocks)),
             ("time", "Computation time", self._each(self._step_times)),
             ("reproduction", "Reproduction", lambda _: self._reproduction()),
             ("sensitivity", "Sensitivity", self._each(_sensitivity_blocks)),
@@ -758,6 +760,10 @@ def _limits_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return []
     return [*_statements(findings(condition, "limits")), *_tables(limits_table(condition, prefix))]
+
+
+def _key_figures_blocks(condition: Condition, prefix: str) -> list[Block]:
+    return _tables(key_figures_table(condition, prefix)) if condition.controllers else []
 
 
 def _sensitivity_blocks(condition: Condition, prefix: str) -> list[Block]:

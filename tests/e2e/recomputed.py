@@ -371,6 +371,9 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
             (np.array(v) for start in headers for key, v in columns.items() if key.startswith(start)), None
         )
 
+    def in_watts(name: str) -> float:
+        return 1e3 if any(f"{name} [kW]" in key for key in columns) else 1.0
+
     def integral(name: str, weight: Any) -> float:
         values = column("monitored ", "", name=name) * weight
         return float(values[:-1].sum() * h) if name in driven else float(np.trapezoid(values, time))
@@ -388,7 +391,7 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
     def peak(source: str) -> float:
         power = 0.0
         for name in sources[source]:
-            values = column("monitored ", "", name=name)
+            values = in_watts(name) * column("monitored ", "", name=name)
             power = power + (values[:-1] if name in driven else (values[:-1] + values[1:]) / 2)
         minutes = np.repeat(power, round(h / 60))
         return max(fmean(minutes[i : i + 15]) for i in range(0, len(minutes) - 14, 15)) / area / 1000
@@ -408,7 +411,7 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
     return {
         "tdis_tot [K.h]": per_zone(("AirZoneTemperature", "OperativeZoneTemperature"), below=True),
         "idis_tot [ppm.h]": per_zone(("CO2Concentration",), below=False),
-        "ener_tot [kWh/m2]": sum(integral(name, 1.0) for name in powers) / 3.6e6 / area,
+        "ener_tot [kWh/m2]": sum(integral(name, in_watts(name)) for name in powers) / 3.6e6 / area,
         f"cost_tot [{run['charges'][0]['unit']}/m2]": per_amount("price", list(used)) / area,
         "emis_tot [kg/m2]": per_amount("emission", powers) / area,
         "pele_tot [kW/m2]": peak("ElectricPower"),

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from ddpc_cosim.codec import (
     ChangeName,
@@ -388,6 +388,10 @@ class LoopSection(Section):
         """Time of the last sample [s]."""
         return self.start_time + self.steps * self.sampling_time
 
+    def of(self, scenario: "ScenarioSection") -> Self:
+        """Return the timing in a scenario, which may begin at another time."""
+        return self if scenario.start_time is None else replace(self, start_time=scenario.start_time)
+
     def preview_of(self, scenario: "ScenarioSection") -> int | None:
         """Return how many future references anyone may see in a scenario; None: as many as are asked for."""
         preview = self.preview if scenario.preview is None else scenario.preview
@@ -540,6 +544,9 @@ class ScenarioSection(Section):
         {}, doc="what actuators and sensors do: a table of each kind that is installed", key=None
     )
     preview: Preview | None = setting(None, low=0, doc="in place of the loop's")
+    start_time: Moment | None = setting(
+        None, doc="time of the first sample, in place of the loop's; also a date or a day", unit="s"
+    )
     recording: RecordingChanges | None = setting(
         None, doc="`samples`, `excitation` and `inputs` in place of the recording's"
     )
@@ -910,3 +917,14 @@ class Study(StudyHead):
         None, doc="what controllers have to be; it decides no result"
     )
     report: ReportSection = setting(ReportSection(), doc="what the report shows besides")
+
+    @property
+    def loops(self) -> list[LoopSection]:
+        """The timing of all scenarios, each that differs once."""
+        return [*{loop.start_time: loop for loop in map(self.loop.of, self.scenarios.values())}.values()]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """When the first run of any scenario begins, warm-up included, and when the last one ends [s]."""
+        loops = self.loops
+        return min(loop.start_time for loop in loops) - self.loop.warm_up, max(loop.end for loop in loops)

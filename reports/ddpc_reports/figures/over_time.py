@@ -143,7 +143,7 @@ def scenario_marks(condition: Condition) -> tuple[list[Mark], str]:
     """Return what a scenario does during the run, briefly, and in words this and all the rest."""
     results, traces = condition.results, condition.first_traces.values()
     section = results.study.scenarios.get(condition.scenario)
-    start = results.study.loop.start_time
+    start = results.study.loop.of(section).start_time if section else results.study.loop.start_time
     end = start + results.study.loop.duration
     marks, marked, rest = list[Mark](), list[str](), list[str]()
     if section:  # known disturbances have figures of their own

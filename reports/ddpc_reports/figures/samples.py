@@ -110,7 +110,9 @@ def first_outputs(condition: Condition) -> Signal | None:
 
 def clock_of(condition: Condition) -> Clock:
     """Return the unit of time of the figures of a condition."""
-    loop = condition.results.study.loop
+    study = condition.results.study
+    section = study.scenarios.get(condition.scenario)
+    loop = study.loop if section is None else study.loop.of(section)
     return clock_for(loop.start_time, loop.duration)
 
 

@@ -50,6 +50,19 @@ LIMITS = (
     "time_at_bounds",
 )
 """What the section on limits and actuators shows."""
+KEY_FIGURES = (
+    "tdis_tot",
+    "idis_tot",
+    "ener_tot",
+    "cost_tot",
+    "emis_tot",
+    "pele_tot",
+    "pgas_tot",
+    "pdih_tot",
+    "time_rat",
+    "atvl_tot",
+)
+"""What the section on key figures of buildings shows."""
 
 
 def response_table(condition: Condition, prefix: str) -> Table | None:
@@ -85,6 +98,20 @@ def limits_table(condition: Condition, prefix: str) -> Table | None:
     caption = "Limits and actuators, per controller"
     return controller_table(
         f"{prefix}limits", caption, condition.controllers, columns, (notes,), "limits.csv"
+    )
+
+
+def key_figures_table(condition: Condition, prefix: str) -> Table | None:
+    """Return the key figures of a building, a row per controller; None where a study asks for none."""
+    columns = _columns(condition, KEY_FIGURES)
+    if not columns:
+        return None
+    notes = "As BOPTEST defines them. " + meanings([name for name in KEY_FIGURES if condition.keys(name)])
+    if len(condition.seeds) > 1:
+        notes += " Medians over the seeds."
+    caption = "Key figures, per controller"
+    return controller_table(
+        f"{prefix}key-figures", caption, condition.controllers, columns, (notes,), "key-figures.csv"
     )
 
 

@@ -105,9 +105,9 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
 
 def _ends(results: StudyResults, ended_early: Sequence[CaseResult]) -> Iterator[_Event]:
     """Yield how runs ended; at the time of their last sample, if they have any."""
-    loop = results.study.loop
+    study = results.study
     for case in ended_early:
-        rows = case.metrics.get("samples [1]", 0.0)
+        rows, loop = case.metrics.get("samples [1]", 0.0), study.loop.of(study.scenarios[case.scenario])
         time = loop.start_time + (rows - 1) * loop.sampling_time if rows >= 1 else math.nan
         yield _Event(f"{case.outcome}: {case.reason}" if case.reason else str(case.outcome), case, time)
 

@@ -20,7 +20,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.shares import SHARE_NOTE, share_columns
-from ddpc_reports.tables.controllers import LIMITS, RESPONSE, meanings, metric_column
+from ddpc_reports.tables.controllers import KEY_FIGURES, LIMITS, RESPONSE, meanings, metric_column
 from ddpc_reports.tables.pictures import ratio_to, ratios_in_row, responses_in_rows, with_bars
 from ddpc_reports.tables.table import Column, controller_table, interval_texts, number_cells
 
@@ -101,7 +101,7 @@ def ranking_table(condition: Condition, ranking: Standings, prefix: str) -> Tabl
 
 def _others(ranked_by: Sequence[str]) -> list[str]:
     """Return what no section has of its own: metrics of third parties, and mean errors beside a cost."""
-    shown = {*_MORE, *RESPONSE, *LIMITS, *(split_key(key)[0] for key in ranked_by)}
+    shown = {*_MORE, *RESPONSE, *LIMITS, *KEY_FIGURES, *(split_key(key)[0] for key in ranked_by)}
     return [name for name in response_metrics() if name not in shown]
 
 

@@ -301,6 +301,10 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     ]
     if study.metrics.ranking is not None:
         facts.append(("ranking", study.metrics.ranking))
+    key_figures = study.metrics.key_figures
+    facts += [
+        (f"key figures: {kind}", text) for kind, text in (_others(key_figures, ()) if key_figures else ())
+    ]
     facts.append(("seeds", compact_seeds(study.seeds)))
     own_limits = any(section.bounds for section in study.controllers.values())
     but = ", but for limits of their own" if own_limits else ""
@@ -537,8 +541,10 @@ def scenario_effects(
     price_units = {name: price.unit for name, price in (prices or {}).items()}
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
     said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs", "known", "prices"}
-    said |= {"label", "bounds", "recording", *section.effects}
+    said |= {"label", "bounds", "recording", "start_time", *section.effects}
+    start = section.start_time
     return [
+        *([] if start is None else [Effect(f"the run starts at t = {given_time(start)}")]),
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
         *(
             Effect(f"noise of {_plain(name)}, standard deviation {_in_unit(value, units.get(name, ''))}")

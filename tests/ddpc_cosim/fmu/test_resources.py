@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from resources import OUTDOORS, files_of_a_house, with_resources
 
 from ddpc_cosim.files.time_tables import LARGEST
 from ddpc_cosim.fmu.description.defects import Findings
 from ddpc_cosim.fmu.resources import Resources, read_resources, usual_unit
 from ddpc_cosim.inspection import as_data, inspect_fmu
-from tests.resources import OUTDOORS, files_of_a_house, with_resources
 
 
 def read(folder: Path, **files: str | bytes) -> tuple[Resources, list[str]]:

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from resources import BY_DAY, HOURS, OUTDOORS, SUN, files_of_a_house, with_resources
+from studies import cases_in, run_file, write
 
 from ddpc_cosim import ConfigError, KnownDisturbance, Price, Product, SignalFromResource
 from ddpc_cosim.study.reading import read_study
 from fmu_plants import build_fmu
 from fmu_plants.building import MODEL
-from tests.resources import BY_DAY, HOURS, OUTDOORS, SUN, files_of_a_house, with_resources
-from tests.studies import cases_in, run_file, write
 
 STUDY = """
 plant = { fmu = "stranger.fmu", inputs = ["heating_power"], outputs = ["indoor_temperature"] }

@@ -134,6 +134,7 @@ def pendulum(**changes: Any) -> Problem:
         bounds={"torque": (-1.0, 1.0)},
         preview="horizon",
         excitation=UniformRandom(-2.0, 2.0, samples=90),
+        start_time=1.8,
     )
     given: dict[str, Any] = {
         "plant": "pendulum",

@@ -214,7 +214,7 @@ def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
         (
             'inputs.pump_2 = { kind = "sinus" }',
             "inputs.pump_2: must be one of 'constant', 'steps', 'interpolated', 'ramp', 'sine', 'file', "
-            "'noise', 'random', 'sum', 'product', got 'sinus'",
+            "'resource', 'noise', 'random', 'sum', 'product', got 'sinus'",
         ),
         (
             "delay = { level_1 = 6.0 }",
@@ -405,3 +405,68 @@ def test_signals_of_the_recording_are_checked(tmp_path: Path, recorded: str, fau
     text = TANK.replace(RECORDED, f"{RECORDED}{recorded}\n")
     with pytest.raises(ConfigError, match=rf"(?s)recording\.inputs.*{fault}"):
         read_study(study_file(tmp_path, text))
+
+
+YEAR = """
+plant = { name = "building", inputs = ["heating_power"], outputs = ["indoor_temperature"] }
+loop = { sampling_time = "1 h", duration = "6 h", start_time = "day 3", warm_up = "2 h" }
+reference.indoor_temperature = { kind = "constant", value = 20.0, unit = "degC" }
+recording = { samples = 48, excitation.heating_power = { low = 1000.0, high = 6000.0 } }
+controllers.mfapc.type = "mfapc"
+controllers.deepc = { type = "deepc", settings = { initial_length = 2, horizon = 4 } }
+
+[disturbances.outdoor_temperature]
+known = "perfect"
+signal = { kind = "steps", times = [0.0, 864000.0], values = [5.0, -5.0], unit = "degC" }
+
+[disturbances.solar_irradiance]
+signal = { kind = "constant", value = 0.0 }
+
+[scenarios.mild]
+[scenarios.cold]
+start_time = "day 23"
+"""
+
+
+def test_a_scenario_begins_at_another_time_with_its_experiment_and_its_weather(tmp_path: Path) -> None:
+    cases = {case.name: case for case in cases_in(write(tmp_path, YEAR))}
+    mild, cold = cases["mfapc_mild_seed0"], cases["mfapc_cold_seed0"]
+    assert (mild.start_time, cold.start_time) == (2 * 86_400.0, 22 * 86_400.0)
+    assert (mild.recording_start, cold.recording_start) == (0.0, 20 * 86_400.0)
+    frame = run_file(tmp_path / "study.toml").frame()
+    assert set(frame["outcome"]) == {"completed"}
+    results = run_file(tmp_path / "study.toml")
+    for scenario, begin, outdoors in (("mild", 2, 278.15), ("cold", 22, 268.15)):
+        trace = results.trace("mfapc", scenario=scenario)
+        np.testing.assert_array_equal(trace.time, begin * 86_400.0 + np.arange(7) * 3600.0)
+        np.testing.assert_allclose(trace.d[:, 0], outdoors)
+
+
+def test_ids_know_of_a_start_only_where_it_differs(tmp_path: Path) -> None:
+    said = YEAR.replace("[scenarios.mild]", '[scenarios.mild]\nstart_time = "day 3"')
+    ids = [{case.name: case.id for case in cases_in(write(tmp_path, text))} for text in (YEAR, said)]
+    assert ids[0] == ids[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('start_time = "day 23"', "start_time = inf", "scenarios.cold.start_time: must be a finite number"),
+        ('start_time = "day 23"', "start_time = 1e18", "samples 3600 s apart coincide there"),
+        ('start_time = "day 3", warm_up = "2 h"', 'start = "recording-end"', "leave one of them out"),
+        ('start_time = "day 23"', 'start_time = "day 23"\nevents = [{ time = 100.0, parameters = {} }]', ""),
+        (
+            'start_time = "day 23"',
+            'start_time = "day 23"\nevents = [{ time = "30 d", parameters = { window_area = 5.0 } }]',
+            "scenarios.cold.events[0].time",
+        ),
+    ],
+)
+def test_what_does_not_go_with_a_start_is_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+    path = write(tmp_path, YEAR.replace(old, new))
+    if not told:
+        read_study(str(path))
+        return
+    with pytest.raises(ConfigError) as error:
+        read_study(str(path))
+    assert any(told in fault for fault in error.value.faults), error.value.faults

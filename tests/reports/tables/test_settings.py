@@ -210,6 +210,7 @@ CONTENT: dict[str, Any] = {
     "scenarios": {
         "calm": {
             "label": "Calm",
+            "start_time": 0.5,
             "parameters": {"mass": 1.0},
             "noise": {"angle": 0.01},
             "events": [{"time": 1.0, "parameters": {"damping": 0.3}}],
@@ -230,6 +231,13 @@ CONTENT: dict[str, Any] = {
                         "file": "gusts.csv",
                         "column": "Gust",
                         "time_column": "t",
+                        "interpolation": "linear",
+                        "unit": "deg",
+                    },
+                    {
+                        "kind": "resource",
+                        "file": "tables.csv",
+                        "column": "Wave",
                         "interpolation": "linear",
                         "unit": "deg",
                     },
@@ -285,6 +293,12 @@ CONTENT: dict[str, Any] = {
         "cost": {"outputs": {"angle": 2.0}, "inputs": {"torque": 0.1}, "changes": {"torque": 0.2}},
         "relevant": {"absolute": 0.125, "percent": 3.5},
         "ranking": "pareto",
+        "key_figures": {
+            "set": "boptest",
+            "area": 123.5,
+            "sources": {"AirZoneTemperature[hall]": ["angle"]},
+            "bands": {"angle": {"band": {"lower": -0.375, "upper": 0.625}, "unit": "rad"}},
+        },
     },
     "report": {
         "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
@@ -474,6 +488,7 @@ def test_studies_that_differ_in_one_value_read_differently(results: StudyResults
         assert seen.setdefault(text(other), place) == place
         tried.add(path)
     fixed = {path for path, _ in changes(settings) if path[-1] == "kind" and path[0] != "controllers"}
+    fixed.add(("metrics", "key_figures", "set"))  # there is one
     assert {path for path, _ in changes(settings)} - tried == fixed
 
 
