@@ -476,7 +476,7 @@ def _column_errors(table: InputTable) -> Iterator[str]:
             yield f"headers: it has no column {name!r}; {did_you_mean(name, names)}"
     for head in dict.fromkeys((TIME, *table.heads)):
         if not _HEAD.fullmatch(head):
-            yield f"head {head!r}: quotation marks, commas, line breaks and blanks at its ends are not possible"
+            yield f"head {head!r}: quotation marks, commas, line breaks and blanks at its ends are refused"
         if (TIME, *table.heads).count(head) > 1:
             yield f"head {head!r} stands over more than one column"
 
@@ -488,7 +488,8 @@ def _table_errors(table: InputTable, times: Any, rows: Any) -> Iterator[str]:
     shapes = np.shape(times), np.shape(rows)
     if len(shapes[0]) != 1 or not shapes[0][0] or shapes[1] != (shapes[0][0], len(table.variables)):
         columns = len(table.variables)
-        yield f"values must be times, shape (n,), and rows, shape (n, {columns}), not {shapes[0]}, {shapes[1]}"
+        wanted = f"times, shape (n,), and rows, shape (n, {columns})"
+        yield f"values must be {wanted}, not {shapes[0]} and {shapes[1]}"
         return
     if not (np.isfinite(times).all() and np.isfinite(rows).all()):
         yield "times and values must be finite"

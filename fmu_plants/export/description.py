@@ -1,8 +1,8 @@
 """The description files of an FMU, for FMI 2.0 and FMI 3.0, and the order of a plant's variables.
 
 The C code follows the same order, block by block as in `runtime/model.h`: time, states, derivatives, inputs,
-computed outputs, parameters, and of a plant with a control of its own what that holds. The value reference of a
-variable is its position.
+computed outputs, parameters, and what an embedded control holds. The value reference of a variable is its
+position.
 """
 
 import re
@@ -262,7 +262,7 @@ def _build_description(description: Description) -> ET.Element:
 
 
 def _add_interfaces(root: ET.Element, description: Description) -> None:
-    """Add Co-Simulation, and Model Exchange of what the importer can integrate; FMI 2.0 lists sources there."""
+    """Add Co-Simulation, and Model Exchange of what importers can integrate; FMI 2.0 lists sources there."""
     contents, version = description.contents, description.fmi_version
     common = {"modelIdentifier": contents.name} | _CAPABILITIES[version]
     steps = {"canHandleVariableCommunicationStepSize": "true"}

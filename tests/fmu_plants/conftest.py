@@ -47,6 +47,7 @@ class Instance:
         logging: bool = True,
         guid: str | None = None,
         kind: int = fmi2.fmi2CoSimulation,
+        location: str = "",
     ) -> None:
         self.library = library
         self.messages: list[tuple[int, str, str]] = []
@@ -59,7 +60,7 @@ class Instance:
             b"plant",
             kind,
             (guid or library.description.guid).encode(),
-            b"",
+            location.encode(),
             ctypes.byref(self.callbacks),
             0,
             int(logging),
@@ -132,7 +133,9 @@ class Instance:
 class Instance3:
     """The same for FMI 3.0."""
 
-    def __init__(self, library: Library, *, exchange: bool = False, token: str | None = None) -> None:
+    def __init__(
+        self, library: Library, *, exchange: bool = False, token: str | None = None, path: str = ""
+    ) -> None:
         self.library = library
         self.messages: list[tuple[int, str, str]] = []
 
@@ -145,7 +148,8 @@ class Instance3:
             arguments = [b"plant", guid, b"", False, True, None, self.logger]
             self.component = library.functions.fmi3InstantiateModelExchange(*arguments)
         else:
-            arguments = [b"plant", guid, b"", False, True, False, False, None, ctypes.c_size_t(0)]
+            plain = [b"plant", guid, path.encode(), False, True]
+            arguments = [*plain, False, False, None, ctypes.c_size_t(0)]
             self.component = library.functions.fmi3InstantiateCoSimulation(
                 *arguments, None, self.logger, None
             )
