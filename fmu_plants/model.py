@@ -198,6 +198,21 @@ class InputTable:
         ]
         return "\n".join([*lines, ""])
 
+    def at(self, time: float) -> "NDArray[np.float64]":
+        """Return the columns at a time [s], shape (columns,), as the FMU has them."""
+        # Here and not above: plants without tables do not need it.
+        import numpy as np
+
+        times, rows = self.values()
+        if self.period is not None:
+            time -= np.floor((time - times[0]) / self.period) * self.period
+            if times[-1] - times[0] < self.period:
+                times, rows = np.append(times, times[0] + self.period), np.vstack([rows, rows[:1]])
+        if self.interpolation == "hold":
+            row: NDArray[np.float64] = rows[max(int(np.searchsorted(times, time, "right")) - 1, 0)]
+            return row
+        return np.array([np.interp(time, times, column) for column in rows.T])
+
 
 @dataclass(frozen=True, slots=True)
 class Rules:
