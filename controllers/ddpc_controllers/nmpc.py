@@ -8,7 +8,8 @@ et al., Math. Program. Comput. 11, 2019, doi:10.1007/s12532-018-0139-4). States 
 are estimated by an extended Kalman filter that starts from the model's own start values.
 
 Known disturbances w are what is measured of them now and their forecast; columns of the plant's tables that
-are not among them are held as they are at the first sample. Of an output b in a band [l, h] it is ``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
+are not among them are held as they are at the first sample. Of an output b in a band [l, h] it is
+``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
 diagonal, and what is paid adds ``price_weight sum_k price_k rate signal_k sampling_time``; the changes of the
 inputs keep the optimum determined. Limits that move are limits of the plan.
 
