@@ -172,7 +172,7 @@ class InputTable:
     file: str
     variables: tuple[Variable, ...]
     values: "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]"
-    headers: Mapping[str, str] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict, hash=False)
     interpolation: Literal["linear", "hold"] = "linear"
     period: float | None = None
 
@@ -342,7 +342,7 @@ class PlantModel:
     stop_time: float = 10.0
     tables: tuple[InputTable, ...] = ()
     control: EmbeddedControl | None = None
-    resources: Mapping[str, str | Callable[[], str]] = field(default_factory=dict)
+    resources: Mapping[str, str | Callable[[], str]] = field(default_factory=dict, hash=False)
     relative_tolerance: float = DEFAULT_TOLERANCE
     absolute_tolerance: float = DEFAULT_TOLERANCE
 
