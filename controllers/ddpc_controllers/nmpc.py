@@ -7,8 +7,9 @@ Biegler, Math. Program. 106, 2006, doi:10.1007/s10107-004-0559-y), both by way o
 et al., Math. Program. Comput. 11, 2019, doi:10.1007/s12532-018-0139-4). States and a constant disturbance d
 are estimated by an extended Kalman filter that starts from the model's own start values.
 
-Known disturbances w are what is measured of them now and their forecast. Of an output b in a band [l, h] it
-is ``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
+Known disturbances w are what is measured of them now and their forecast; columns of the plant's tables that
+are not among them are held as they are at the first sample. Of an output b in a band [l, h] it is
+``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
 diagonal, and what is paid adds ``price_weight sum_k price_k rate signal_k sampling_time``; the changes of the
 inputs keep the optimum determined. Limits that move are limits of the plan.
 
@@ -118,14 +119,11 @@ class NMPC(Foresight, Exportable):
         controlled = [variable.name for variable in loop.outputs]
         self._further = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
         self._program(plant, loop)
-        self._w: FloatArray | None = None if loop.disturbances else np.empty(0)
-        if past := running_past(loop):
-            for k, (u, y, measured, w) in enumerate(zip(past.u, past.y, past.measured, past.d, strict=True)):
-                time = (k - len(past)) * loop.sampling_time
-                before = w if self._w is None else self._w
-                self._filter.correct(self._signals(y, measured), self._u, before, time)
-                self._filter.predict(u, w, time)
-                self._u, self._w = u, w
+        self._w: FloatArray | None = None if plant.exogenous else np.empty(0)
+        self._plant, self._loop, self._begun = plant, loop, False
+        self._past = running_past(loop)
+        if self._past:
+            self._u = self._past.u[-1]
         states = np.zeros((len(plant.start), self.horizon))
         inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
         self._guess, self._planned = (states, inputs), False
@@ -152,7 +150,7 @@ class NMPC(Foresight, Exportable):
                 "u": (m, 1),
                 "r": (p, steps),
                 "t": (1, 1),
-                "w": (len(loop.disturbances), steps),
+                "w": (plant.exogenous, steps),
                 "band": (2 * len(self._in_band), steps),
                 "limits": (2 * len(self._moving), steps),
                 "price": (len(loop.charges) if self._charged else 0, steps + 1),
@@ -162,7 +160,7 @@ class NMPC(Foresight, Exportable):
         u = inputs * ca.repmat(u_unit, 1, steps)
         d, times = ca.repmat(known["d"], 1, steps), known["t"] + loop.sampling_time * ca.DM(range(steps)).T
         before = ca.horzcat(known["x"], x[:, :-1])
-        w = [known["w"]] if loop.disturbances else []
+        w = [known["w"]] if plant.exogenous else []
         defects = (plant.advance.map(steps)(before, u, d, times, *w) - x) / ca.repmat(plant.nominal, 1, steps)
         seen = plant.output.map(steps)(x, u, d, times + loop.sampling_time, *w)
         y = seen[:p, :]
@@ -224,6 +222,8 @@ class NMPC(Foresight, Exportable):
     def step(self, sample: Sample) -> Action:
         """Return the first inputs of the optimal plan, shape (m,)."""
         signals = self._signals(sample.y, sample.measured)
+        if not self._begun:
+            self._begin(sample.time)
         now = self._disturbances(sample)
         before = now[0] if self._w is None else self._w
         self._filter.correct(signals, self._u, before, sample.time)
@@ -233,14 +233,26 @@ class NMPC(Foresight, Exportable):
         missing = OK if np.isfinite(signals).all() else PREDICTED
         return Action(u.copy(), status or missing, {"iterations": iterations})
 
+    def _begin(self, start: float) -> None:
+        """Take what the tables have at the first sample, and follow the samples before it."""
+        self._begun, self._held = True, self._plant.columns_held(start)
+        if not (past := self._past):
+            return
+        self._u = resting_input(self._loop)
+        for k, (u, y, measured, known) in enumerate(zip(past.u, past.y, past.measured, past.d, strict=True)):
+            time = start + (k - len(past)) * self._loop.sampling_time
+            w = np.append(known, self._held)
+            before = w if self._w is None else self._w
+            self._filter.correct(self._signals(y, measured), self._u, before, time)
+            self._filter.predict(u, w, time)
+            self._u, self._w = u, w
+
     def _disturbances(self, sample: Sample) -> FloatArray:
-        """Return the known disturbances over the horizon, shape (N, n_w)."""
-        if self._w is not None and not self._w.size:
-            return np.empty((self.horizon, 0))
-        lasting = np.repeat(sample.disturbance[np.newaxis], self.horizon, axis=0)
-        if self.use_forecast:
-            lasting[1:] = sample.forecast[: self.horizon - 1]
-        return lasting
+        """Return the known disturbances and what is held over the horizon, shape (N, n_w)."""
+        known = np.repeat(sample.disturbance[np.newaxis], self.horizon, axis=0)
+        if known.size and self.use_forecast:
+            known[1:] = sample.forecast[: self.horizon - 1]
+        return np.hstack([known, np.tile(self._held, (self.horizon, 1))])
 
     def _limits_now(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
         """Return the limits of states and inputs over the horizon."""
@@ -309,6 +321,8 @@ class NMPC(Foresight, Exportable):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""
         prior = f"everything: the equations, parameters and start values of {self._named}"
+        if held := self._plant.held:
+            prior += f", with {', '.join(held)} held as at the first sample"
         facts = prior_info(prior, loop.outputs, loop.measurements)
         if loop.disturbances:
             names = ", ".join(variable.name for variable in loop.disturbances)

@@ -421,7 +421,7 @@ def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType)
 def _model_variables(model: Any) -> PlantDescription:
     tunable = frozenset(v.name for v in model.parameters if v.variability == "tunable")
     return describe(
-        model.inputs,
+        model.all_inputs,
         model.outputs,
         model.parameters,
         tunable,

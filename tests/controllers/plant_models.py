@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
-from fmu_plants import Equations, PlantModel, Symbols, Variable
+import numpy as np
+
+from fmu_plants import EmbeddedControl, Equations, InputTable, PlantModel, Rules, Symbols, Variable
 
 
 def reference_plant(v: Symbols) -> Equations:
@@ -68,3 +70,35 @@ def _disturbed(equations: object, *states: str) -> PlantModel:
 
 OSCILLATING = _disturbed(oscillating_plant, "y1", "x", "y2")
 INTEGRATING = _disturbed(integrating_plant, "y1", "y2")
+
+
+def heated_room(v: Symbols) -> Equations:
+    """A room that a table disturbs and a control of its own heats, with a heat pump that cold slows down."""
+    heat = v.Pump * (3.0 + 0.05 * v.outdoors)
+    return Equations(
+        {"room": 0.2 * (v.outdoors - v.room) + heat + v.sun},
+        {"weather_y": v.outdoors, "warmer_y": v.outdoors + 1.0},
+    )
+
+
+ROOM_TIMES = np.array([0.0, 10.0, 20.0, 30.0])
+ROOM_WEATHER = np.array([[5.0, 0.1], [5.0, 0.3], [-5.0, 0.3], [-5.0, 0.0]])
+HEATED_ROOM = PlantModel(
+    name="heated_room",
+    equations=heated_room,
+    states=(Variable("room", start=18.0),),
+    outputs=(Variable("room", start=18.0), Variable("weather_y"), Variable("warmer_y")),
+    tables=(
+        InputTable(
+            file="weather.csv",
+            variables=(Variable("outdoors"), Variable("sun")),
+            values=lambda: (ROOM_TIMES, ROOM_WEATHER),
+            interpolation="hold",
+        ),
+    ),
+    control=EmbeddedControl(
+        sampling_time=1.0,
+        actuators=(Variable("Pump", min=0.0, max=2.0, start=0.5),),
+        rules=lambda v: Rules({"Pump": 1.0}),
+    ),
+)

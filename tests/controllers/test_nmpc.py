@@ -37,7 +37,7 @@ from fmu_plants import build_fmu
 from fmu_plants.equations import resolve
 
 from .loops import ANGLE, DEGREE, close_loop, pendulum, pendulum_loop, quick_pendulum
-from .plant_models import DISTURBED, FUNCTIONS
+from .plant_models import DISTURBED, FUNCTIONS, HEATED_ROOM, ROOM_WEATHER
 
 PENDULUM = {
     "inputs": (Variable("torque"),),
@@ -501,3 +501,62 @@ def test_a_disturbance_that_the_equations_do_not_know_is_refused() -> None:
     loop = replace(loop, disturbances=(*loop.disturbances, Variable("rain")))
     with pytest.raises(ConfigError, match=r'no input that is not driven.* "rain"; it has: sun, wind'):
         NMPC(model=f"{__package__}.plant_models:DISTURBED").start(loop)
+
+
+def room_loop(*known: str) -> Loop:
+    """The loop of a room whose own control is overridden, with what is known of its weather."""
+    pump, _ = HEATED_ROOM.control.overrides
+    room = HEATED_ROOM.outputs[0]
+    bounds = Bounds(np.array([0.0]), np.array([2.0]), np.array([-np.inf]), np.array([np.inf]))
+    base = loop_of(inputs=(pump,), outputs=(room,), measurements=(room,), bounds=bounds)
+    return replace(base, sampling_time=1.0, disturbances=tuple(Variable(name) for name in known))
+
+
+def test_the_override_of_a_control_is_an_input_and_a_column_is_a_disturbance() -> None:
+    """What the FMU does within a row of its table, by another integrator."""
+    plant = PlantEquations(HEATED_ROOM, room_loop("weather_y"), {})
+    assert plant.held == ("sun",)
+    with FMUPlant(build_fmu(HEATED_ROOM), inputs=["ovePump_u", "ovePump_activate"], outputs=["room"]) as fmu:
+        fmu.plan(1.0, 30.0)
+        x = fmu.reset()
+        for k, pump in enumerate(np.linspace(0.0, 2.0, 30)):
+            w = [ROOM_WEATHER[k // 10, 0], *plant.columns_held(float(k))]
+            predicted = plant.advance(x, pump, 0.0, float(k), w).full()[0]
+            x = fmu.step(np.array([pump, 1.0]), 1.0)
+            assert predicted == pytest.approx(x, abs=2e-6)
+
+
+def test_a_column_that_is_not_told_is_held_as_at_the_first_sample() -> None:
+    """Of two loops that begin at different times, the one under a cold sky heats more."""
+
+    def first_input(start: float, *known: str) -> float:
+        controller = NMPC(model=f"{__package__}.plant_models:HEATED_ROOM", horizon=8)
+        loop = room_loop(*known)
+        controller.start(loop)
+        y = np.array([18.0])
+        d = np.full(len(known), -5.0)
+        sample = Sample(0, start, y, y, np.full((8, 1), 18.0), y, d, np.tile(d, (8, 1)))
+        held = "with sun held" if known else "with outdoors, sun held"
+        assert f"{held} as at the first sample" in controller.knowledge(loop)["plant"]
+        return float(controller.step(sample).u[0])
+
+    mild, cold = first_input(0.0), first_input(30.0)
+    assert cold > mild + 0.1
+    assert first_input(30.0, "weather_y") == pytest.approx(cold, abs=1e-6)
+
+
+def test_an_output_that_is_more_than_a_column_is_no_known_disturbance() -> None:
+    with pytest.raises(ConfigError, match=r'no input that is not driven.* "warmer_y"; it has: weather_y'):
+        PlantEquations(HEATED_ROOM, room_loop("warmer_y"), {})
+
+
+def test_an_actuator_that_is_not_driven_is_where_parameters_have_it() -> None:
+    loop = replace(room_loop(), inputs=())
+    bounds = Bounds(np.empty(0), np.empty(0), np.array([-np.inf]), np.array([np.inf]))
+    slow, fast = (
+        PlantEquations(HEATED_ROOM, replace(loop, bounds=bounds), given).advance(
+            18.0, [], [], 0.0, [5.0, 0.0]
+        )
+        for given in ({}, {"ovePump_u": 2.0})
+    )
+    assert float(fast) > float(slow) + 1.0

@@ -4,10 +4,13 @@
 
 The equations are those of a `PlantModel` of :mod:`fmu_plants`, found as a plug-in. The inputs carry the
 disturbance d; where they outnumber the outputs, the outputs do. Known disturbances w are inputs of the plant
-that the loop does not drive.
+that the loop does not drive, and columns of its tables, by the outputs that show them.
+
+A plant with a control of its own is driven by the overrides of that control, which are on; other actuators
+rest at their start values. Columns that are not known are held as they are at the first sample.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
 from pathlib import Path
@@ -99,21 +102,24 @@ class PlantEquations:
     model : PlantModel
         The plant.
     loop : Loop
-        Its inputs and outputs are the model's, by name; further inputs rest at their start values.
+        Its inputs and outputs are the model's, by name; further inputs and actuators rest at their start
+        values.
     given : mapping of str to float
-        Parameters, and inputs that the loop does not drive, that differ from the model's.
+        Parameters, inputs and overrides that the loop does not drive, that differ from the model's.
 
     Attributes
     ----------
     advance, output : casadi.Function
         x+ and what is measured, see :func:`measured_signals`, as functions of
-        (x, u, d, t), and of w where there is one.
+        (x, u, d, t), and of w where there is one: known disturbances, then columns that are held.
     start : array, shape (n,)
         States that the model starts from.
     nominal : array, shape (n,)
         Their nominal values.
-    disturbances : int
-        Size of d.
+    disturbances, exogenous : int
+        Sizes of d and w.
+    held : tuple of str
+        Names of the columns that the loop does not tell.
 
     Raises
     ------
@@ -125,20 +131,30 @@ class PlantEquations:
         ca = casadi()
         signals = measured_signals(loop)
         driven, known = ([v.name for v in variables] for variables in (loop.inputs, loop.disturbances))
-        _check_names(model, driven, known, [variable.name for variable in signals], given)
-        constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
-
+        self._tables = tuple(getattr(model, "tables", ()))
+        columns = [column.name for table in self._tables for column in table.variables]
+        acting = _acting(model)
         states = [state.name for state in model.states]
-        n, m, p, n_w = len(states), len(driven), len(loop.outputs), len(known)
+        constants = {acting[v.name]: v.start for v in _inputs(model)}
+        constants |= {v.name: v.start for v in model.parameters}
+        equations = model.equations(_Symbols([*states, *constants, *columns, "time"]))
+        shown = _shown(equations.outputs, columns)
+        _check_names(model, driven, known, [variable.name for variable in signals], given, shown)
+        constants |= {acting.get(name, name): value for name, value in given.items()}
+
+        symbol_of = acting | shown
+        told = [symbol_of[name] for name in known]
+        self.held = tuple(name for name in columns if name not in told)
+        n, m, p, n_w = len(states), len(driven), len(loop.outputs), len(known) + len(self.held)
         x, u, t, w = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t"), ca.SX.sym("w", n_w)
-        self.disturbances = m if m <= p else p
+        self.disturbances, self.exogenous = m if m <= p else p, n_w
         d = ca.SX.sym("d", self.disturbances)
-        arguments = [x, u, d, t, *([w] if known else [])]
+        arguments = [x, u, d, t, *([w] if n_w else [])]
         applied = u + d if m <= p else u
-        values = constants | dict(zip(driven, ca.vertsplit(applied), strict=True)) | {"time": t}
+        values = constants | {"time": t}
+        values |= dict(zip((acting[name] for name in driven), ca.vertsplit(applied), strict=True))
         values |= dict(zip(states, ca.vertsplit(x), strict=True))
-        values |= dict(zip(known, ca.vertsplit(w) if known else (), strict=True))
-        equations = model.equations(_Symbols([*values]))
+        values |= dict(zip((*told, *self.held), ca.vertsplit(w) if n_w else (), strict=True))
         convert = _Converter(ca, values)
         outputs = {name: values[name] for name in states} | {
             name: convert(expression) for name, expression in equations.outputs.items()
@@ -152,20 +168,52 @@ class PlantEquations:
         self.output = ca.Function("output", arguments, [seen])
         self.start = np.array([state.start for state in model.states])
         self.nominal = np.array([state.nominal for state in model.states])
-        rest, usual = (
-            np.array([variable.start for variable in variables])
-            for variables in (loop.inputs, loop.disturbances)
-        )
+        rest = np.array([variable.start for variable in loop.inputs])
+        first = self._columns(None)
+        usual = [first.get(name, v.start) for name, v in zip(told, loop.disturbances, strict=True)]
+        usual += [first[name] for name in self.held]
         self.steps = _steps(
             ca,
             slope,
-            (self.start, rest, np.zeros(self.disturbances), 0.0, *_given(usual)),
+            (self.start, rest, np.zeros(self.disturbances), 0.0, *_given(np.array(usual))),
             loop.sampling_time,
         )
         h, end = loop.sampling_time / self.steps, x
         for i in range(self.steps):
             end = _runge_kutta(lambda x, t: slope(x, u, d, t, *arguments[4:]), end, t + i * h, h)
         self.advance = ca.Function("advance", arguments, [end])
+
+    def columns_held(self, time: float) -> FloatArray:
+        """Return the columns that the loop does not tell, as they are at a time [s], shape (len(held),)."""
+        now = self._columns(time)
+        return np.array([now[name] for name in self.held])
+
+    def _columns(self, time: float | None) -> dict[str, float]:
+        """Return every column at a time, without one in the first row."""
+        return {
+            column.name: float(value)
+            for table in self._tables
+            for column, value in zip(
+                table.variables, table.values()[1][0] if time is None else table.at(time), strict=True
+            )
+        }
+
+
+def _inputs(model: Any) -> tuple[Variable, ...]:
+    """Return what can be driven: the inputs of the equations, and overrides of a control of their own."""
+    control = getattr(model, "control", None)
+    return (*model.inputs, *(control.overrides[::2] if control else ()))
+
+
+def _acting(model: Any) -> dict[str, str]:
+    """Return the symbols of what can be driven: an input's is its own, an override's that of its actuator."""
+    symbols = [v.name for v in (*model.inputs, *getattr(model, "actuators", ()))]
+    return {variable.name: symbol for variable, symbol in zip(_inputs(model), symbols, strict=True)}
+
+
+def _shown(outputs: Mapping[str, Any], columns: Sequence[str]) -> dict[str, str]:
+    """Return the columns that outputs are, without anything else, by output."""
+    return {name: str(given) for name, given in outputs.items() if str(given) in columns}
 
 
 class _Symbols:
@@ -226,16 +274,21 @@ def _check_names(
     disturbances: Sequence[str],
     signals: Sequence[str],
     given: Mapping[str, float],
+    shown: Iterable[str],
 ) -> None:
     acting = {*driven, *disturbances}
+    inputs = [variable.name for variable in _inputs(model)]
     known = {
-        "input": ([v.name for v in model.inputs], driven),
+        "input": (inputs, driven),
         "input that is not driven, as a known disturbance is,": (
-            [v.name for v in model.inputs if v.name not in driven],
+            [*(name for name in inputs if name not in driven), *shown],
             disturbances,
         ),
         "output": ([v.name for v in (*model.states, *model.outputs)], signals),
-        "parameter": ([v.name for v in (*model.parameters, *model.inputs) if v.name not in acting], given),
+        "parameter": (
+            [name for name in (*(v.name for v in model.parameters), *inputs) if name not in acting],
+            given,
+        ),
     }
     faults = [
         f'NMPC: model {model.name} has no {what} "{name}"; it has: {", ".join(names) or "none"}'
