@@ -170,11 +170,12 @@ def linearise(
     x : array, shape (n,), optional
         States in the order and units of the model; the start values by default.
     u : array, shape (m,), optional
-        Inputs, likewise.
+        Inputs, likewise; of a plant with a control of its own those of its FMU: actuators whose overrides are
+        not switched on rest at their start values.
     parameters : mapping of str to float, optional
         Values that differ from the model's defaults.
     time : float
-        Time of the operating point [s].
+        Time of the operating point [s], at which tables are read.
 
     Returns
     -------
@@ -187,16 +188,19 @@ def linearise(
         A shape or a parameter does not fit the model, or a derivative is not finite there.
     """
     parameters = parameters or {}
+    inputs = _values(model, "inputs", model.all_inputs, u)
     point = np.concatenate(
         [
             [time],
             _values(model, "states", model.states, x),
-            _values(model, "inputs", model.inputs, u),
+            inputs,
             _parameter_values(model, parameters),
+            *(table.at(np.array([time]))[0] for table in model.tables),
+            _acting(model, inputs),
         ]
     )
     evaluate, places = _jacobian(model)
-    n, m = len(model.states), len(model.inputs)
+    n, m = len(model.states), len(inputs)
     matrix = np.zeros((n + len(model.outputs), n + m))
     states = {state.name: index for index, state in enumerate(model.states)}
     for row, output in enumerate(model.outputs, n):
@@ -210,15 +214,23 @@ def linearise(
     return LinearModel(matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:])
 
 
+def _acting(model: PlantModel, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what acts as the actuators: overrides that are switched on, otherwise start values."""
+    start = np.array([actuator.start for actuator in model.actuators])
+    overrides = inputs[len(model.inputs) :]
+    return np.where(overrides[1::2] > 0.5, overrides[::2], start)
+
+
 @lru_cache(maxsize=32)
 def _jacobian(model: PlantModel) -> tuple[Callable[..., list[Any]], list[tuple[int, int]]]:
-    """Return a function of time, states, inputs and parameters, and where its results belong."""
+    """Return a function of all that the equations are functions of, and where its results belong."""
     n = len(model.states)
-    columns = {variable.name: index for index, variable in enumerate((*model.states, *model.inputs))}
+    columns = {variable.name: index for index, variable in enumerate((*model.states, *model.all_inputs))}
     rows = {derivative_name(state.name): index for index, state in enumerate(model.states)}
     rows |= {output.name: index for index, output in enumerate(model.outputs, n)}
     elements = [element for element in resolve(model).partials() if element.known in columns]
-    names = [TIME, *(v.name for v in (*model.states, *model.inputs, *model.parameters))]
+    known = (*model.states, *model.all_inputs, *model.parameters, *model.columns, *model.actuators)
+    names = [TIME, *(variable.name for variable in known)]
     symbols = [sympy.Symbol(name, real=True) for name in names]
     # Dummies: a variable may have the name of a Python keyword or of a function.
     arguments = [sympy.Dummy(real=True) for _ in symbols]

@@ -172,7 +172,7 @@ class InputTable:
     file: str
     variables: tuple[Variable, ...]
     values: "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]"
-    headers: Mapping[str, str] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict, hash=False)
     interpolation: Literal["linear", "hold"] = "linear"
     period: float | None = None
 
@@ -197,6 +197,20 @@ class InputTable:
             ",".join(map(repr, (time, *row))) for time, row in zip(times.tolist(), rows.tolist(), strict=True)
         ]
         return "\n".join([*lines, ""])
+
+    def at(self, times: "NDArray[np.float64]") -> "NDArray[np.float64]":
+        """Return the columns at times [s], shape (samples, columns), as the FMU has them."""
+        # Here and not above: plants without tables do not need it.
+        import numpy as np
+
+        given, rows = self.values()
+        if self.period is not None:
+            times = times - np.floor((times - given[0]) / self.period) * self.period
+            if given[-1] - given[0] < self.period:
+                given, rows = np.append(given, given[0] + self.period), np.vstack([rows, rows[:1]])
+        if self.interpolation == "hold":
+            return rows[np.maximum(np.searchsorted(given, times, "right") - 1, 0)]
+        return np.column_stack([np.interp(times, given, column) for column in rows.T])
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,7 +341,7 @@ class PlantModel:
     stop_time: float = 10.0
     tables: tuple[InputTable, ...] = ()
     control: EmbeddedControl | None = None
-    resources: Mapping[str, str | Callable[[], str]] = field(default_factory=dict)
+    resources: Mapping[str, str | Callable[[], str]] = field(default_factory=dict, hash=False)
     relative_tolerance: float = DEFAULT_TOLERANCE
     absolute_tolerance: float = DEFAULT_TOLERANCE
 

@@ -16,12 +16,12 @@ they are no measured ones.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating[Any]]
+FloatArray = NDArray[np.float64]
 
 HOUR = 3600.0  # s
 DAY = 24 * HOUR
@@ -124,6 +124,11 @@ class SunDirection(NamedTuple):
     west: FloatArray
 
 
+def year_times() -> FloatArray:
+    """Return the hours of a year and the first of the next one, s, shape (8761,)."""
+    return np.linspace(0.0, YEAR, HOURS + 1)
+
+
 def sun_direction(times: FloatArray, latitude: float) -> SunDirection:
     """Return where the sun stands.
 
@@ -160,7 +165,7 @@ def clear_sky(up: FloatArray) -> FloatArray:
 def synthetic_year(seed: int, climate: Climate = CENTRAL_EUROPE) -> WeatherYear:
     """Return a year of weather that the climate may have; each seed is another one."""
     rng = np.random.default_rng(seed)
-    times = HOUR * np.arange(HOURS)
+    times = year_times()[:-1]
     season = -np.cos(2 * np.pi * (times / DAY - climate.coldest_day) / 365.0)  # -1 midwinter, 1 midsummer
     fronts, clouds, spells = (
         fading_noise(rng, time) for time in (climate.fronts_time, climate.clouds_time, climate.spells_time)
@@ -182,7 +187,7 @@ def synthetic_year(seed: int, climate: Climate = CENTRAL_EUROPE) -> WeatherYear:
     )
     walls = on_walls(sun, total, direct, diffuse, climate.ground_reflectance)
     return WeatherYear(
-        HOUR * np.arange(HOURS + 1),
+        year_times(),
         _closed(temperature + KELVIN),
         _closed(total),
         _closed(direct),

@@ -20,6 +20,14 @@ _CALL = re.compile(r"\b([A-Za-z_]\w*)\(")
 _expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
 
 
+def _written_out(expression: sympy.Expr) -> sympy.Expr:
+    """Write small powers as products; not where SymPy then takes an argument of Max or Min for not real."""
+    try:
+        return _expand_powers(expression)
+    except ValueError:
+        return expression
+
+
 @cache
 def callable_functions() -> frozenset[str]:
     """Return the C functions that equations can call on every platform, as `runtime/windows_math.h` lists."""
@@ -48,7 +56,7 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
             It needs a function that C does not have, or not on every platform.
         """
         text: str
-        _, unsupported, text = self.doprint(_expand_powers(expression))
+        _, unsupported, text = self.doprint(_written_out(expression))
         missing = {type(part).__name__ for part in unsupported} or {
             *_CALL.findall(text)
         } - callable_functions()

@@ -9,7 +9,17 @@ from fmpy.fmi2 import fmi2OK
 from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
-from fmu_plants import DisplayUnit, Equations, ModelError, Variable, export_fmu
+from fmu_plants import (
+    DisplayUnit,
+    EmbeddedControl,
+    Equations,
+    InputTable,
+    ModelError,
+    PlantModel,
+    Rules,
+    Variable,
+    export_fmu,
+)
 from fmu_plants.linear import linearise, state_space_model
 from fmu_plants.model import identifier
 from fmu_plants.pendulum import MODEL
@@ -157,3 +167,31 @@ def test_a_plant_that_changes_with_time_is_linearised_at_a_time():
 def test_impossible_operating_points_are_refused(arguments, message):
     with pytest.raises(ModelError, match=message):
         linearise(MODEL, **arguments)
+
+
+def test_of_a_plant_with_tables_and_a_control_the_point_is_at_a_time_and_by_overrides_that_are_on():
+    table = InputTable(
+        file="t.csv",
+        variables=(Variable("w"),),
+        values=lambda: (np.array([0.0, 10.0]), np.array([[1.0], [3.0]])),
+    )
+    control = EmbeddedControl(
+        sampling_time=1.0,
+        actuators=(Variable("A", min=0.0, max=9.0, start=5.0),),
+        rules=lambda v: Rules({"A": 1}),
+    )
+    model = PlantModel(
+        name="own",
+        states=(Variable("x"),),
+        outputs=(Variable("x"), Variable("y")),
+        tables=(table,),
+        control=control,
+        equations=lambda v: Equations({"x": v.w * v.A**2 - v.A * v.x}, {"y": v.w * v.x}),
+    )
+    # Off, the actuator is a constant of 5; on at 2, x' changes by 2 w A with it.
+    off = linearise(model, [0.0], [2.0, 0.0], time=5.0)
+    on = linearise(model, [0.0], [2.0, 1.0], time=5.0)
+    assert [off.A[0, 0], on.A[0, 0]] == [-5.0, -2.0]
+    np.testing.assert_array_equal(off.B, [[0.0, 0.0]])
+    np.testing.assert_array_equal(on.B, [[2 * 2.0 * 2.0, 0.0]])
+    np.testing.assert_array_equal(on.C[:, 0], [1.0, 2.0])

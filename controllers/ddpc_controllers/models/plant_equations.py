@@ -135,7 +135,7 @@ class PlantEquations:
         self._known = [i for i, name in enumerate(told) if name not in given_out]
         known = [told[i] for i in self._known]
         _check_names(model, driven, known, [variable.name for variable in signals], given)
-        self.tables = [_Table(table) for table in model.tables]
+        self.tables = model.tables
         constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
         overridden = {override_name(v.name): v.name for v in model.actuators}
         commands = [overridden.get(name, name) for name in driven]
@@ -185,26 +185,6 @@ class PlantEquations:
     def of_acting(self, disturbances: FloatArray, times: FloatArray) -> FloatArray:
         """Return w at times [s], shape (samples, n_w), given the loop's disturbances then, (samples, n_d)."""
         return np.hstack([disturbances[:, self._known], *(table.at(times) for table in self.tables)])
-
-
-class _Table:
-    """What a plant reads over time: an `InputTable` of :mod:`fmu_plants`."""
-
-    def __init__(self, table: Any) -> None:
-        self._times, self._rows = table.values()
-        self._period, self._is_linear = table.period, table.interpolation == "linear"
-        if self._period is not None:  # the last row is followed by the first
-            self._times = np.append(self._times, self._times[0] + self._period)
-            self._rows = np.vstack([self._rows, self._rows[:1]])
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """Return its columns at times [s], shape (samples, columns)."""
-        first = self._times[0]
-        within = times if self._period is None else first + (times - first) % self._period
-        if not self._is_linear:
-            rows = np.searchsorted(self._times, within, side="right") - 1
-            return np.asarray(self._rows[np.maximum(rows, 0)])
-        return np.column_stack([np.interp(within, self._times, column) for column in self._rows.T])
 
 
 class _Symbols:

@@ -75,10 +75,10 @@ static char *read_file(const Reader *reader, const char *folder, size_t *size)
         }
         n += got = fread(text + n, 1, CHUNK, file);
     }
-    const bool complete = file && got == 0 && !ferror(file);
+    const bool whole = file && got == 0 && !ferror(file);
     if (file) fclose(file);
     *size = n;
-    if (complete) return text;
+    if (whole) return text;
     free(text);
     refuse(reader->instance, STATUS_ERROR, "%s: the table %s cannot be read.", reader->function, path);
     return NULL;
@@ -337,12 +337,11 @@ void table_go_to(Table *table, double time)
 {
     const size_t last = table->n_rows - 1;
     const double period = table->source->period, first = table->times[0];
-    double shift = 0.0;
     if (period > 0.0) {
         double cycle = floor((time - first) / period);
         if (first + cycle * period > time) cycle -= 1.0; /* by rounding */
         if (first + (cycle + 1.0) * period <= time) cycle += 1.0;
-        shift = cycle * period;
+        const double shift = cycle * period;
         table->row = find_row(table, time, shift);
         table->since = table->times[table->row] + shift;
         table->until = table->row + 1 < table->n_pieces ? table->times[table->row + 1] + shift

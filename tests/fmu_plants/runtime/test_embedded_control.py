@@ -1,6 +1,8 @@
 """A sampled control inside a plant, against exact solutions between its instants."""
 
 import ctypes
+import subprocess
+import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -24,9 +26,13 @@ from fmu_plants import (
     Symbols,
     Variable,
     build_fmu,
+    export_fmu,
     tunable,
 )
 from fmu_plants.equations import resolve
+from fmu_plants.export import fmi_functions, fmi_headers, fmu_source
+from fmu_plants.export.compiler import compile_library, find_compiler
+from fmu_plants.export.platforms import PLATFORMS
 from tests.fmu_plants.conftest import Instance, Instance3, Library
 
 TAU, GAIN, OUTDOORS = 4000.0, 30.0, 5.0  # s, K, degC
@@ -327,8 +333,52 @@ def test_equations_do_not_know_the_memory():
 
 
 def test_further_resources_are_files_of_the_fmu(own_cache_folder, tmp_path: Path):
-    from fmu_plants.export import fmu_source
-
     model = replace(ROOM, resources={"config.json": "{}", "kpis.json": lambda: '{"a": []}'})
     files = fmu_source(model, "2.0", None, None).descriptions
     assert (files["resources/config.json"], files["resources/kpis.json"]) == ("{}", '{"a": []}')
+
+
+BLIND = InputTable(
+    file="blind.csv",
+    variables=(Variable("blind", "K"),),
+    values=lambda: (np.array([0.0]), np.array([[0.0]])),
+    period=DAY,
+)
+SHADED = replace(
+    ROOM,
+    name="shaded",
+    tables=(BLIND,),
+    equations=lambda v: Equations({"T": (v.gain * v.Valve - v.T - v.blind) / TAU}, {"reaValve_y": v.Valve}),
+)
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_importers_can_compile_its_sources_and_a_static_analyser_finds_nothing(version, tmp_path):
+    headers = fmi_headers(version)
+    files = {**fmu_source(SHADED, version, None, None).sources, **headers}
+    strict = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
+    assert compile_library(find_compiler(), files, fmi_functions(headers), strict)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    checks = "--enable=warning,style,performance,portability"
+    quiet = [
+        "--quiet",
+        "--std=c11",
+        "--error-exitcode=1",
+        "--suppress=missingIncludeSystem",
+        "--inline-suppr",
+    ]
+    command = ["cppcheck", checks, *quiet, "-I.", *(path.name for path in tmp_path.glob("*.c"))]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_it_is_compiled_for_every_platform(version, tmp_path):
+    path = export_fmu(SHADED, tmp_path / "shaded.fmu", version, platforms="all")
+    assert validate_fmu(str(path)) == []
+    with zipfile.ZipFile(path) as archive:
+        libraries = [name for name in archive.namelist() if name.startswith("binaries/")]
+        assert archive.read("resources/blind.csv") == b"time,blind\n0.0,0.0\n"
+    shared = version == "2.0"  # one library for both processors of macOS
+    assert len(libraries) == len(PLATFORMS) - shared

@@ -118,6 +118,10 @@ def test_functions_mean_in_c_what_they_mean_in_sympy(open_fmu):
         "arcs": (lambda v: sp.atan2(v.a, v.b) + sp.asin(v.b), math.atan2(a, b) + math.asin(b)),
         "hyperbola": (lambda v: sp.tanh(v.a) + sp.cosh(v.b), math.tanh(a) + math.cosh(b)),
         "bounds": (lambda v: sp.Max(v.a, 0.0) + sp.Min(v.b, 0.25), 0.25),
+        "powers_in_bounds": (
+            lambda v: sp.Max(v.a / (1 + sp.sqrt(v.a**2 + v.b)), -1),
+            a / (1 + math.sqrt(a**2 + b)),
+        ),
         "parts": (lambda v: sp.Abs(v.a) + sp.sign(v.a) + sp.floor(v.a), 1.7 - 1.0 - 2.0),
         "size_of_an_integer": (lambda v: sp.Abs(sp.floor(v.a)), 2.0),
         "remainder": (lambda v: sp.Mod(v.a, v.b), a % b),

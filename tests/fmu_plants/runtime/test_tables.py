@@ -101,7 +101,9 @@ def test_columns_follow_the_rows_before_between_and_after_them(libraries, resour
     with instance_of(libraries["2.0"], resources) as plant:
         plant.start(start=t)
         shown = plant.get(*(f"{kind}_y" for kind in KINDS))
-    np.testing.assert_allclose(shown, [expected(kind, TIMES, VALUES, t) for kind in KINDS], rtol=1e-13)
+    wanted = [expected(kind, TIMES, VALUES, t) for kind in KINDS]
+    np.testing.assert_allclose(shown, wanted, rtol=1e-13)
+    np.testing.assert_allclose([table(kind).at(np.array([t]))[0, 0] for kind in KINDS], wanted, rtol=1e-13)
 
 
 @settings(max_examples=40, deadline=None)
