@@ -246,7 +246,7 @@ RULES = {
     ),
     "a watt heats no house": Rule(
         warmed(TEMPERATURE, WATTS),
-        warmed(TEMPERATURE, Variable("Q", "W", min=-1.0, max=1.0)),  # it may be a microreactor
+        warmed(TEMPERATURE, Variable("Q", "W", min=-1e3, max=1e3)),  # as little, and it is declared
         said("Within the ranges that were guessed first nothing responds: tried Q"),
     ),
     "of temperatures alone": Rule(
