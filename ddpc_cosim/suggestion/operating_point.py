@@ -23,7 +23,7 @@ from ddpc_cosim.suggestion.quantities import (
     to_comfort,
     usual_levels,
 )
-from ddpc_cosim.suggestion.rates import rates_among
+from ddpc_cosim.suggestion.rates import with_rates
 from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
@@ -296,8 +296,8 @@ def _at(
                 tested = step_test(plant, resting, timing)
                 choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
         reach, fixed_step = None, timing.step if timing.fixed else None
-        if rates := rates_among(plant, resting, tested, fixed_step):
-            tested = replace(tested, rates=rates)
+        tested = with_rates(plant, resting, tested, fixed_step)
+        if tested.rates:
             choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
         driven = {plant.inputs[i].name for i in choice.inputs}
         if choice.inputs:
