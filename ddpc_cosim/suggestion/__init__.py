@@ -174,6 +174,13 @@ def suggest_study(
             f"--input other inputs, --at another operating point, --output other outputs{early}"
         )
     check_identified(label, point)
+    if point.holds_nothing:
+        outputs = ", ".join(point.outputs[j].name for j in point.choice.outputs)
+        inputs = ", ".join(point.inputs[i].name for i in point.choice.inputs)
+        raise CosimError(
+            f"{label}: no setpoint can be proposed: held at other values, {inputs} took {outputs} nowhere "
+            "else; --range or --at tries the inputs elsewhere, --input and --output other signals"
+        )
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
     plant = (
         system.section(sample) if system else PlantSection(fmu=str(path.resolve()), library_path=libraries)

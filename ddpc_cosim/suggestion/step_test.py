@@ -32,6 +32,7 @@ SHARE = 0.1
 """Part of its room by which an input is stepped first."""
 _LARGER_SHARES, _SMALLER_SHARE = (0.5, 1.0), 0.001
 _NONLINEAR = 0.3
+_OF_A_SOLVER = 1e-3  # of an output's level: what tolerances of solvers may leave
 _LATER = 1.5
 _ALIKE = 0.1  # of its peak: how far responses to a switch may be apart
 _BEYOND = 1e30
@@ -569,6 +570,9 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
             large = responses[j][i]
             is_late = small.half_time > _LATER * large.half_time  # a switch acts as soon whatever the step is
             if not small.peak > _NONLINEAR * large.peak:
+                continue
+            if is_late and not small.peak > _OF_A_SOLVER * float(np.max(np.abs(tested.rest[:, j]))):
+                responses[j][i] = Response(ResponseType.INSENSITIVE)  # of a thousandth as much: its noise
                 continue
             scaled = deviations[i][:, j] / _SMALLER_SHARE
             if not is_late:
