@@ -82,7 +82,27 @@ class TriedPoint:
         """How much the inputs matter: where only meters of power or cost answer, what is read does not."""
         if self.holds_nothing or (_reads_something(self.outputs) and _only_meters(self)):
             return 0.0
-        return _influence(self.tested, self.choice, self.room, self.outputs)
+        shares = _influence(self.tested, self.choice, self.room, self.outputs)
+        # What runs away from an input is not held, however far it is moved in parts of where it began.
+        little = self.is_guessed and self.authority < 1.0
+        return min(shares, _MATTERS) * self.authority if little else shares
+
+    @property
+    def is_guessed(self) -> bool:
+        """Whether the ranges of all chosen inputs are guesses."""
+        origins = (self.bounds[self.inputs[i].name].origin for i in self.choice.inputs)
+        return all(origin.startswith("guessed") for origin in origins)
+
+    @property
+    def authority(self) -> float:
+        """How far the inputs move the output over which they have least, in parts of what it drifts by."""
+        drifts = design.drifting(self.tested)
+        shares = (
+            self.tested.authority(j, self.choice.inputs, self.room) / self.tested.drift(j)
+            for j in self.choice.outputs
+            if drifts[j]
+        )
+        return min([*shares, 1.0])
 
     @property
     def holds_nothing(self) -> bool:
@@ -170,7 +190,7 @@ def find(
     for start, bounds, remark in attempts:
         left = ends - monotonic()
         is_wider = bounds is not at_start.bounds
-        may_be_wider = not best.choice.inputs or _warms_by_guess(best)
+        may_be_wider = not best.choice.inputs or _is_too_little_by_guess(best)
         if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and not may_be_wider):
             break
         if not remark:
@@ -425,7 +445,7 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
         if guess.origin.startswith("guessed"):
             size = factor * (guess.high - guess.low) / 2
             low, high = max(variable.min, guess.low - size), min(variable.max, guess.high + size)
-            wider[variable.name] = Bounds(low, high, "guessed: nothing responds within less")
+            wider[variable.name] = Bounds(low, high, "guessed: within less the inputs do too little")
     return wider
 
 
@@ -466,14 +486,15 @@ def _position(point: TriedPoint, name: str) -> int:
     return [variable.name for variable in point.inputs].index(name)
 
 
-def _warms_by_guess(point: TriedPoint) -> bool:
-    """Return whether inputs whose ranges are guesses move temperatures, or meters, alone.
+def _is_too_little_by_guess(point: TriedPoint) -> bool:
+    """Return whether a wider range may do where all that are driven are guesses.
 
-    One watt heats no house, whatever a meter shows of it.
+    One watt heats no house, whatever a meter shows of it; what drifts by itself or returns is not held.
     """
-    guesses = (point.bounds[point.inputs[i].name].origin for i in point.choice.inputs)
-    if not all(origin.startswith("guessed") for origin in guesses):
+    if not point.is_guessed:
         return False
+    if point.authority < 1.0 or point.holds_nothing:
+        return True
     outputs = [point.outputs[j] for j in point.choice.outputs]
     warm = all(is_temperature(output) or is_called_temperature(output) for output in outputs)
     return warm or (_reads_something(point.outputs) and _only_meters(point))
@@ -489,7 +510,7 @@ def _only_meters(point: TriedPoint) -> bool:
 
 def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds], *, plausible: bool) -> str:
     changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
-    what = "Within the ranges that were guessed first nothing responds: tried"
+    what = "Within the ranges that were guessed first the inputs do too little: tried"
     doubt = "--range NAME=LO:HI if that is too far"
     if not plausible:
         doubt = f"that is not plausible, a thousand times the first guess: {doubt.replace('if', 'where')}"

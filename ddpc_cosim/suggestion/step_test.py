@@ -520,7 +520,8 @@ def _run_all(
     if len(rest) < BLOCK and plant.ran_out:
         raise _NotInTimeError("not identified in time: the run with the inputs at rest; raise --budget")
     if len(rest) < BLOCK:
-        raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
+        sizes = "; --sampling-time H if it takes steps of one size only" if "discard" in fault else ""
+        raise CosimError(f"the plant does not run with its inputs at rest: {fault}{sizes}")
     deviations = []
     for i, height in enumerate(steps):
         if not height:

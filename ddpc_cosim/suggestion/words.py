@@ -9,6 +9,7 @@ from ddpc_cosim.variables import Variable
 from fmu_plants.units import parse_unit
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[A-Z]|\d+")
+_UNIT_SAID = re.compile(r"\[([^\[\]]{1,20})\]\s*$")
 _MOST_WORDS = 10  # of a description: what comes later is seldom about what the signal is
 
 
@@ -32,6 +33,12 @@ def listed(names: Iterable[str], most: int, what: str) -> str:
     every = [*names]
     cut = f" ({most} of {len(every)} {what} shown)" if len(every) > most else ""
     return ", ".join(every[:most]) + cut
+
+
+def unit_of(variable: Variable) -> str:
+    """Return the unit of a signal; of one without, what its description ends in: ``Altitude [m]``."""
+    said = _UNIT_SAID.search(variable.description)
+    return said[1] if variable.unit == "" and said and exponents_of(said[1]) is not None else variable.unit
 
 
 def exponents_of(unit: str) -> Mapping[str, int] | None:
@@ -130,7 +137,8 @@ class Wording:
     """
 
     def __init__(self, variable: Variable) -> None:
-        self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
+        self.unit = unit_of(variable)
+        self.exponents = exponents_of(self.unit)
         self.is_limited = math.isfinite(variable.min) and math.isfinite(variable.max)
         path, _, last = variable.name.rpartition(".")
         self.labels = words_of(last)
@@ -312,6 +320,8 @@ _SPENT = vocabulary(
     "cmd command status mode flag limit limits setpoint set"
 )
 _METERED = vocabulary("energy cost costs price consumption consumed cumulative ptot etot")
+_CONTROLLERS = vocabulary("controller regulator pid")
+_AROUND = vocabulary("with and plus plant loop system")
 _STORED = vocabulary("stored storage battery soc charge tank accumulator kinetic potential")
 _TEMPERATURES = vocabulary("temperature temperatures temp")
 _INTERNAL = vocabulary(
@@ -343,3 +353,9 @@ def is_meter(variable: Variable) -> bool:
 def is_called_temperature(variable: Variable) -> bool:
     """Whether a signal without a unit says in a word that it is a temperature."""
     return variable.unit in ("", "1") and bool(Wording(variable).all & _TEMPERATURES)
+
+
+def is_named_controller(name: str) -> bool:
+    """Whether the name of a model says that it is a controller, and not a plant with one."""
+    said = {*words_of(name)}
+    return bool(said & _CONTROLLERS) and not said & _AROUND

@@ -117,7 +117,7 @@ def test_a_range_that_was_guessed_too_small_is_widened(own_cache_folder: None, t
     valve = model("threshold", FLOW, (Variable("signal"),), lambda v: Max(v.signal - 40, 0) - v.flow)
     study, text = study_of(build_fmu(valve), tmp_path)
     assert study["bounds"]["signal"]["max"] == pytest.approx(101.0)
-    assert "nothing responds: tried signal -101:101; --range NAME=LO:HI if that is too far" in text
+    assert "the inputs do too little: tried signal -101:101; --range NAME=LO:HI if that is too far" in text
 
 
 def house(name: str, description: str, gain: float = 1e-3) -> PlantModel:
@@ -168,6 +168,17 @@ def test_a_heater_of_one_watt_does_not_make_a_cold_room_comfortable(
     )
     assert "not as a room should be" not in text
     assert study["bounds"]["q"]["max"] >= 10.0
+
+
+@pytest.mark.parametrize(("declared", "highest"), [({}, 11.0), ({"min": -1.0, "max": 1.0}, 1.0)])
+def test_a_guess_is_widened_where_the_plant_moves_further_by_itself(
+    declared: dict[str, float], highest: float, own_cache_folder: None, tmp_path: Path
+) -> None:
+    """w' = u - 5: a brake takes it down while u rests at 0, and +-1 is the first guess."""
+    brake = model("brake", Variable("w", "rad/s"), (Variable("u", "N.m", **declared),), lambda v: v.u - 5)
+    study, text = study_of(build_fmu(brake), tmp_path)
+    assert study["bounds"]["u"]["max"] == highest
+    assert ("the inputs do too little: tried u -11:11" in text) == (highest > 1.0)
 
 
 def test_where_every_response_returns_no_setpoint_is_proposed(own_cache_folder: None, tmp_path: Path) -> None:
