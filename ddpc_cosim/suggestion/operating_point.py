@@ -36,7 +36,7 @@ from ddpc_cosim.variables import FloatArray, Variable
 TestedPlant = FMUPlant | OpenSystem
 
 _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
-_BETTER = 10.0
+_BETTER = 9.0  # of ranges ten times as wide, whose ends stand on the first guess
 _HALF = 0.5
 _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
 _INSIDE = 0.1  # of its range: how far from an end of it an input rests where a room is as it should be

@@ -320,7 +320,7 @@ _SPENT = vocabulary(
     "cmd command status mode flag limit limits setpoint set"
 )
 _METERED = vocabulary("energy cost costs price consumption consumed cumulative ptot etot")
-_CONTROLLERS = vocabulary("controller regulator pid")
+_CONTROLLERS = vocabulary("regulator pid")
 _AROUND = vocabulary("with and plus plant loop system")
 _STORED = vocabulary("stored storage battery soc charge tank accumulator kinetic potential")
 _TEMPERATURES = vocabulary("temperature temperatures temp")
@@ -358,4 +358,5 @@ def is_called_temperature(variable: Variable) -> bool:
 def is_named_controller(name: str) -> bool:
     """Whether the name of a model says that it is a controller, and not a plant with one."""
     said = {*words_of(name)}
-    return bool(said & _CONTROLLERS) and not said & _AROUND
+    is_one = bool(said & _CONTROLLERS) or any(word.endswith("controller") for word in said)
+    return is_one and not said & _AROUND

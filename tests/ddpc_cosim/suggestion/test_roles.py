@@ -223,6 +223,7 @@ def test_readings_come_before_what_is_spent_and_what_goes_on_inside() -> None:
     ("name", "is_one"),
     [
         ("WinchController", True),
+        ("tankcontroller", True),
         ("PID", True),
         ("ControlledTemperature", False),
         ("PlantWithController", False),
