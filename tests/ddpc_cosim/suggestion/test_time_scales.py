@@ -1,5 +1,6 @@
 """Sampling time and duration fit plants of every kind; the formulas are those of elementary systems."""
 
+import math
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -339,6 +340,27 @@ def test_a_larger_step_that_ends_early_is_told() -> None:
     assert tested.fault == "beyond its stroke"
     assert tested.steps.tolist() == [0.5, 0.1]
     assert tested.responses[0][1].type is ResponseType.SETTLED
+
+
+class Tolerant(Linear):
+    """A solver's tolerance: the same error whatever the step is, later after a smaller one."""
+
+    def __init__(self, level: float) -> None:
+        super().__init__(-1, [[0.0]], 1)
+        self.level = level
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        super().step(u, h)
+        since = self.t / (1 + math.log(1 / abs(u[0]))) if u[0] else 0.0
+        return np.array([self.level + 0.01 * (1 - math.exp(-((since / 5) ** 2)))])
+
+
+def test_the_noise_of_a_solver_is_no_instability() -> None:
+    """Of 300 K a hundredth is what tolerances leave; at 0 it is an equilibrium that the plant leaves."""
+    resting = Resting(np.zeros(1), np.ones(1))
+    noisy, unstable = (step_test(Tolerant(level), resting, OPEN) for level in (300.0, 0.0))
+    assert noisy.responses[0][0].type is ResponseType.INSENSITIVE
+    assert (noisy.unstable, unstable.unstable) == (frozenset(), {0})
 
 
 class Kicked(Linear):
