@@ -7,7 +7,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ _DEFINITIONS = (
 )
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 _CPP = (".cpp", ".cc", ".cxx")
+_HEADERS = (".h", ".hpp", ".hh", ".hxx")
 _OUTPUT_SHOWN = 1500
 _LONGEST_SECONDS, _LARGEST_FILE = 600.0, 1 << 30  # of a compilation in a sandbox
 _INCLUSION = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([\x21-\x7e]+\.c)"', re.MULTILINE)
@@ -186,7 +187,18 @@ def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[Sourc
                 raise FMUImportError(
                     f"{label}: no binary for this platform, and the source {name[:100]} is missing"
                 )
-    return sets
+    return [_without_headers(source_set) for source_set in sets]
+
+
+def _without_headers(source_set: SourceSet) -> SourceSet:
+    """Return sources without the headers that some tools list among them: they are included, not compiled."""
+    headers = [name for name in source_set.files if name.lower().endswith(_HEADERS)]
+    folders = dict.fromkeys(name.rpartition("/")[0] or "." for name in headers)
+    return replace(
+        source_set,
+        files=tuple(name for name in source_set.files if name not in headers),
+        include_folders=(*source_set.include_folders, *folders),
+    )
 
 
 def _compiled_by_themselves(sources: Path) -> tuple[str, ...]:

@@ -181,11 +181,19 @@ def suggest_study(
         # The others are named neither here nor elsewhere, as nothing is written.
         tried = listed([*steps_tried, *drives_too], len(steps_tried), "inputs")
         early = f"; a run ended early: {point.tested.fault}" if point.tested.fault else ""
+        looks = "".join(f". {said}" for said in controller_words(title, (), (), point.tested))
         raise CosimError(
             f"{label}: no output responds to a step of an input (tried: {tried}); --range tries more, "
-            f"--input other inputs, --at another operating point, --output other outputs{early}"
+            f"--input other inputs, --at another operating point, --output other outputs{early}{looks}"
         )
     check_identified(label, point)
+    if point.holds_nothing:
+        outputs = ", ".join(point.outputs[j].name for j in point.choice.outputs)
+        inputs = ", ".join(point.inputs[i].name for i in point.choice.inputs)
+        raise CosimError(
+            f"{label}: no setpoint can be proposed: held at other values, {inputs} took {outputs} nowhere "
+            "else; --range or --at tries the inputs elsewhere, --input and --output other signals"
+        )
     sample = sampling_time_of(point.tested, point.choice, point.timing, point.request)
     on_step = tuple[str, ...]()
     if building and sampling_time is None:
@@ -202,7 +210,7 @@ def suggest_study(
         proposal = as_proposed(tried_once(shortened(proposal), until, tell, sandboxed=sandbox), proposal)
     elif trial:
         proposal = tried_out(proposal, until, tell, sandboxed=sandbox)
-    controller = controller_words(point.inputs, point.outputs, point.tested)
+    controller = controller_words(title, point.inputs, point.outputs, point.tested)
     of_system = (*(joined.remarks if joined else ()), *(system.remarks if system else ()))
     head = (
         *proposal.comments.get("head", ()),

@@ -39,6 +39,7 @@ _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time consta
 _SAMPLES_PER_TIME_CONSTANT, _TIME_CONSTANTS_PER_SETTLING = 10, 3
 _SAMPLES_PER_RISE = 2
 _QUARTER = 0.288  # of its time constant: when a quarter of a lag of first order is gone
+_JUMPS = 0.05  # of its way: what a response does at once that has feedthrough
 _FAR, _EARLY = 0.03, 0.4  # of the time constant of the rest
 # Where something fast stands beside something slow: an end of the study must be in sight.
 _MOST_SAMPLES_PER_SETTLING, _MOST_SAMPLES_PER_RINGING = 150, 500
@@ -198,8 +199,10 @@ def sampling_time(
     responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
     slow = [r for r in responses if r.type is ResponseType.SETTLED and not (r.is_transient or r.rings)]
     slow = [r for r in slow if not tested.is_immediate(r)]
-    constants = [max(r.dead_time, r.settling_time / _TIME_CONSTANTS_PER_SETTLING) for r in slow]
-    wanted = choice.time_scale / _SAMPLES_PER_SETTLING
+    constants = [max(r.dead_time, _time_constant(r)) for r in slow]
+    at_once = [_time_constant(r) for r in slow if abs(r.feedthrough) > _JUMPS]
+    wanted = max([choice.time_scale, *(_TIME_CONSTANTS_PER_SETTLING * constant for constant in at_once)])
+    wanted /= _SAMPLES_PER_SETTLING
     if constants and not any(r.is_unstable for r in responses):  # horizons must reach beyond a dead time
         wanted = max(wanted, max(r.dead_time for r in slow) / _SAMPLES_PER_TIME_CONSTANT)
     rises = [r.rise_time for r in responses if (r.rings and not r.is_transient) or r.type is _SWINGS]
@@ -230,13 +233,19 @@ def sampling_time(
     return fitting[0]
 
 
+def _time_constant(response: Response) -> float:
+    """Return the time constant of a response that settles [s]: of what it does not do at once."""
+    settling = response.settling_time / _TIME_CONSTANTS_PER_SETTLING
+    return max(settling, response.lag) if abs(response.feedthrough) > _JUMPS else settling
+
+
 def _fast_part(response: Response) -> float:
-    """Return the time constant with which a quarter of a response is gone, where the rest takes longer [s].
+    """Return the time constant of a quarter of what takes time, where the rest takes longer [s].
 
     It is 0 of a lag of first order, and where what is fast is so fast that the rest is all that one can see.
     """
     fast = response.quarter_time / _QUARTER
-    share = fast / (response.settling_time / _TIME_CONSTANTS_PER_SETTLING)
+    share = fast / _time_constant(response)
     return fast if _FAR < share < _EARLY else 0.0
 
 

@@ -23,19 +23,20 @@ from ddpc_cosim.suggestion.quantities import (
     to_comfort,
     usual_levels,
 )
-from ddpc_cosim.suggestion.rates import rates_among
+from ddpc_cosim.suggestion.rates import with_rates
 from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.roles import Roles, usual_range, without
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
+from ddpc_cosim.suggestion.words import is_called_temperature, is_meter, is_reading
 from ddpc_cosim.variables import FloatArray, Variable
 
 TestedPlant = FMUPlant | OpenSystem
 
 _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
-_BETTER = 10.0
+_BETTER = 9.0  # of ranges ten times as wide, whose ends stand on the first guess
 _HALF = 0.5
 _WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
 _INSIDE = 0.1  # of its range: how far from an end of it an input rests where a room is as it should be
@@ -78,8 +79,39 @@ class TriedPoint:
 
     @property
     def influence(self) -> float:
-        """How much the inputs matter."""
-        return _influence(self.tested, self.choice, self.room, self.outputs)
+        """How much the inputs matter: where only meters of power or cost answer, what is read does not."""
+        if self.holds_nothing or (_reads_something(self.outputs) and _only_meters(self)):
+            return 0.0
+        shares = _influence(self.tested, self.choice, self.room, self.outputs)
+        # What runs away from an input is not held, however far it is moved in parts of where it began.
+        little = self.is_guessed and self.authority < 1.0
+        return min(shares, _MATTERS) * self.authority if little else shares
+
+    @property
+    def is_guessed(self) -> bool:
+        """Whether the ranges of all chosen inputs are guesses."""
+        origins = (self.bounds[self.inputs[i].name].origin for i in self.choice.inputs)
+        return all(origin.startswith("guessed") for origin in origins)
+
+    @property
+    def authority(self) -> float:
+        """How far the inputs move the output over which they have least, in parts of what it drifts by."""
+        drifts = design.drifting(self.tested)
+        shares = (
+            self.tested.authority(j, self.choice.inputs, self.room) / self.tested.drift(j)
+            for j in self.choice.outputs
+            if drifts[j]
+        )
+        return min([*shares, 1.0])
+
+    @property
+    def holds_nothing(self) -> bool:
+        """Whether every chosen output went back to where it rests, whatever the inputs were held at."""
+        if self.reach is None:
+            return False
+        peaks = [max(r.peak for r in self.tested.responses[j]) for j in self.choice.outputs]
+        farthest = np.maximum(self.reach.up, self.reach.down)
+        return bool(np.all(farthest <= _MATTERS * np.array(peaks)))
 
 
 def find(
@@ -144,7 +176,7 @@ def find(
             )
         except CosimError:  # it does not run there
             point = at_start
-        if point.choice.inputs and not _comfortable(point, ()):
+        if point.choice.inputs and _uncomfortable(point) <= _HALF * _uncomfortable(at_start):
             return replace(point, remarks=(*remarks, remark, *point.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
     # What rests elsewhere than at 0, or acts from outside, stays: it is what the plant's author had in mind.
@@ -159,7 +191,7 @@ def find(
     for start, bounds, remark in attempts:
         left = ends - monotonic()
         is_wider = bounds is not at_start.bounds
-        may_be_wider = not best.choice.inputs or _warms_by_guess(best)
+        may_be_wider = not best.choice.inputs or _is_too_little_by_guess(best)
         if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and not may_be_wider):
             break
         if not remark:
@@ -282,7 +314,7 @@ def _at(
         rest, room = design.rest_and_room(plant.inputs, bounds)
         resting = Resting(rest, room, parameters)
         tested = step_test(plant, resting, timing)
-        choice, remarks = _chosen(plant.inputs, tested, room, timing, request, roles)
+        choice, remarks = _chosen(plant, tested, room, timing, request, roles)
         if choice.inputs:
             sample = sampling_time_of(tested, choice, timing, request)
             share = dependence_on_step_size(plant, resting, tested, sample)
@@ -295,11 +327,11 @@ def _at(
                 request = replace(request, sampling_time=sample)
                 timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
                 tested = step_test(plant, resting, timing)
-                choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
+                choice, _ = _chosen(plant, tested, room, timing, request, roles)
         reach, fixed_step = None, timing.step if timing.fixed else None
-        if rates := rates_among(plant, resting, tested, fixed_step):
-            tested = replace(tested, rates=rates)
-            choice, _ = _chosen(plant.inputs, tested, room, timing, request, roles)
+        tested = with_rates(plant, resting, tested, fixed_step)
+        if tested.rates:
+            choice, _ = _chosen(plant, tested, room, timing, request, roles)
         driven = {plant.inputs[i].name for i in choice.inputs}
         if choice.inputs:
             unstable = any(response.is_unstable for row in tested.responses for response in row)
@@ -337,14 +369,18 @@ def _usual_ranges(inputs: Iterable[Variable], roles: Roles) -> dict[str, tuple[f
 
 
 def _chosen(
-    inputs: Sequence[Variable],
+    plant: TestedPlant,
     tested: StepTest,
     room: FloatArray,
     timing: Timing,
     request: Request,
     roles: Roles,
 ) -> tuple[Choice, tuple[str, ...]]:
-    """Return the choice among inputs that are not suspects, or moves an output that nothing else moves."""
+    """Return the choice among inputs that are not suspects, or moves an output that nothing else moves.
+
+    What is spent is no setpoint as long as another output can be controlled.
+    """
+    inputs, meters = plant.inputs, [j for j, output in enumerate(plant.outputs) if is_meter(output)]
     suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
     handles = [i for i in range(len(inputs)) if i not in suspects]
     alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
@@ -352,7 +388,14 @@ def _chosen(
     fixed = [i for i, variable in enumerate(inputs) if variable.name in roles.fixed]
     responses, less_room = without(tested, room, [*suspects, *fixed])
     all_outputs = request.outputs is not None
-    choice = choose(replace(tested, responses=responses), less_room, timing.guess, all_outputs=all_outputs)
+    unmetered = tuple(
+        tuple(Response(ResponseType.INSENSITIVE) for _ in row) if j in meters else row
+        for j, row in enumerate(responses)
+    )
+    for shown in (responses,) if all_outputs else (unmetered, responses):
+        choice = choose(replace(tested, responses=shown), less_room, timing.guess, all_outputs=all_outputs)
+        if choice.inputs:
+            break
     driven = [inputs[i].name for i in alone if i in choice.inputs]
     return choice, _remark_on_suspects(driven, roles, "an output that it moves")
 
@@ -403,7 +446,7 @@ def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: flo
         if guess.origin.startswith("guessed"):
             size = factor * (guess.high - guess.low) / 2
             low, high = max(variable.min, guess.low - size), min(variable.max, guess.high + size)
-            wider[variable.name] = Bounds(low, high, "guessed: nothing responds within less")
+            wider[variable.name] = Bounds(low, high, "guessed: within less the inputs do too little")
     return wider
 
 
@@ -415,10 +458,7 @@ def _comfortable(point: TriedPoint, given: Collection[str]) -> dict[str, float]:
     responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
     if any(r.type not in (ResponseType.SETTLED, ResponseType.INSENSITIVE) for r in responses):
         return {}
-    rest = design.where_it_rests(tested)[list(choice.outputs)]
-    missing = np.array(
-        [to_comfort(point.outputs[j], level) for j, level in zip(choice.outputs, rest, strict=True)]
-    )
+    missing = _missing_to_comfort(point)
     if not missing.any():
         return {}
     u = point.rest[list(choice.inputs)] + np.linalg.pinv(choice.gains) @ missing
@@ -432,20 +472,46 @@ def _comfortable(point: TriedPoint, given: Collection[str]) -> dict[str, float]:
     return {name: level for name, level in inside.items() if level != point.rest[_position(point, name)]}
 
 
+def _missing_to_comfort(point: TriedPoint) -> FloatArray:
+    """Return how much each chosen output misses to be as a room should be, where it rests, shape (p,)."""
+    rest, chosen = design.where_it_rests(point.tested), point.choice.outputs
+    return np.array([to_comfort(point.outputs[j], float(rest[j])) for j in chosen])
+
+
+def _uncomfortable(point: TriedPoint) -> float:
+    """Return how far rooms are from how they should be, all of them together."""
+    return float(np.abs(_missing_to_comfort(point)).sum())
+
+
 def _position(point: TriedPoint, name: str) -> int:
     return [variable.name for variable in point.inputs].index(name)
 
 
-def _warms_by_guess(point: TriedPoint) -> bool:
-    """Return whether inputs whose ranges are guesses move temperatures alone: one watt heats no house."""
-    guesses = (point.bounds[point.inputs[i].name].origin for i in point.choice.inputs)
-    outputs = (point.outputs[j] for j in point.choice.outputs)
-    return all(origin.startswith("guessed") for origin in guesses) and all(map(is_temperature, outputs))
+def _is_too_little_by_guess(point: TriedPoint) -> bool:
+    """Return whether a wider range may do where all that are driven are guesses.
+
+    One watt heats no house, whatever a meter shows of it; what drifts by itself or returns is not held.
+    """
+    if not point.is_guessed:
+        return False
+    if point.authority < 1.0 or point.holds_nothing:
+        return True
+    outputs = [point.outputs[j] for j in point.choice.outputs]
+    warm = all(is_temperature(output) or is_called_temperature(output) for output in outputs)
+    return warm or (_reads_something(point.outputs) and _only_meters(point))
+
+
+def _reads_something(outputs: Iterable[Variable]) -> bool:
+    return any(is_reading(output) for output in outputs)
+
+
+def _only_meters(point: TriedPoint) -> bool:
+    return all(is_meter(point.outputs[j]) for j in point.choice.outputs)
 
 
 def _remark_on_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds], *, plausible: bool) -> str:
     changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
-    what = "Within the ranges that were guessed first nothing responds: tried"
+    what = "Within the ranges that were guessed first the inputs do too little: tried"
     doubt = "--range NAME=LO:HI if that is too far"
     if not plausible:
         doubt = f"that is not plausible, a thousand times the first guess: {doubt.replace('if', 'where')}"

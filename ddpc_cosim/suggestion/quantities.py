@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ddpc_cosim.suggestion.words import unit_of
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.units import DisplayUnit, display_unit, parse_unit
 
@@ -59,7 +60,7 @@ def plausible(output: Variable, rest: float) -> Plausible:
     rest : float
         Where it rests: what it is by itself is plausible.
     """
-    of_kelvin = _shown_in("K", output.unit)
+    of_kelvin = _shown_in("K", unit_of(output))
     if of_kelvin and not is_difference(output):
         at_rest = float(of_kelvin.to_unit(rest))
         is_room = _is_room(output)
@@ -67,7 +68,7 @@ def plausible(output: Variable, rest: float) -> Plausible:
             if low <= at_rest <= high and (is_room or what != "a room"):
                 ends = [float(f"{of_kelvin.factor * end + of_kelvin.offset:.12g}") for end in (low, high)]
                 return Plausible(
-                    ends[0], ends[1], f"{ends[0]:g} to {ends[1]:g} {output.unit} are plausible of {what}"
+                    ends[0], ends[1], f"{ends[0]:g} to {ends[1]:g} {unit_of(output)} are plausible of {what}"
                 )
         zero = of_kelvin.offset
         return Plausible(zero, why="there is nothing below 0 K") if rest >= zero else Plausible()
@@ -76,18 +77,18 @@ def plausible(output: Variable, rest: float) -> Plausible:
 
 def is_temperature(variable: Variable) -> bool:
     """Return whether a signal is a temperature, and not a difference of two."""
-    return _shown_in("K", variable.unit) is not None and not is_difference(variable)
+    return _shown_in("K", unit_of(variable)) is not None and not is_difference(variable)
 
 
 def in_kelvin(variable: Variable, value: float) -> float:
     """Return a temperature above 0 K, in degrees of its unit; anything else as it is."""
-    shown = _shown_in("K", variable.unit)
+    shown = _shown_in("K", unit_of(variable))
     return value - shown.offset if shown and not is_difference(variable) else value
 
 
 def as_weather_goes(variable: Variable, level: float, low: float, high: float) -> tuple[float, float]:
     """Return limits of what acts from outside: a temperature goes no further from its level than weather."""
-    shown = _shown_in("K", variable.unit)
+    shown = _shown_in("K", unit_of(variable))
     if shown is None or is_difference(variable):
         return low, high
     far = _WEATHER / (shown.to_unit(1.0) - shown.to_unit(0.0))
@@ -98,7 +99,7 @@ def to_comfort(output: Variable, level: float) -> float:
     """Return how much a room at a level misses to be comfortable, in its unit; 0 of what is not a room."""
     if not is_temperature(output) or not _is_room(output):
         return 0.0
-    (low, high), shown = _COMFORTABLE, _shown_in("K", output.unit)
+    (low, high), shown = _COMFORTABLE, _shown_in("K", unit_of(output))
     kelvin = float(shown.to_unit(level)) if shown else 0.0
     if shown is None or low <= kelvin <= high or not _LIVEABLE[0] <= kelvin <= _LIVEABLE[1]:
         return 0.0
@@ -138,7 +139,7 @@ def _is_amount(output: Variable, rest: float) -> bool:
     if rest < 0.0 or -math.inf < output.min < 0.0 or is_difference(output):
         return False
     try:
-        exponents = dict(parse_unit(output.unit).exponents)
+        exponents = dict(parse_unit(unit_of(output)).exponents)
     except ValueError:
         exponents = {}
     if exponents in _AMOUNTS:
@@ -162,7 +163,7 @@ def is_difference(variable: Variable) -> bool:
 
 
 def _shown_offset(variable: Variable) -> float:
-    shown = _shown_in("K", variable.unit)
+    shown = _shown_in("K", unit_of(variable))
     return shown.offset if shown else 0.0
 
 
@@ -197,7 +198,7 @@ def usual_levels(
     levels = {}
     for variable in inputs:
         for unit, usual in _USUAL.items():
-            shown = _shown_in(unit, variable.unit)
+            shown = _shown_in(unit, unit_of(variable))
             if shown is None or variable.name in given or is_difference(variable):
                 continue
             if abs(float(shown.to_unit(variable.start))) > _NEGLIGIBLE:
@@ -214,7 +215,7 @@ _LISTED = 4
 
 def remarks_on(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
     """Return what is said of the inputs that start at such levels, those of a unit together."""
-    units = {variable.name: variable.unit for variable in inputs}
+    units = {variable.name: unit_of(variable) for variable in inputs}
     groups: dict[tuple[str, float], list[str]] = {}
     for name, level in levels.items():
         groups.setdefault((units[name], level), []).append(name)

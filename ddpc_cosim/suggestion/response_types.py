@@ -28,6 +28,7 @@ _ESCAPE = (0.003, 0.3)  # of the peak: between them an unstable mode grows undis
 _RAMP = (0.03, 0.1, 0.3)  # of the peak: an integrator takes three times as long from one to the next
 _RAMP_RATIO = 2.0  # of the second of these times to the first; of an exponential it is 1, of a parabola 1.7
 _RISEN = 1.0 - np.exp(-1.0)  # where a first-order lag is after its time constant
+_QUARTER = 0.25
 _CREEP = 1e-3  # of the peak: what a response that seems settled may still move without being asked further
 _GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as much in twice the time
 _PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from it
@@ -78,8 +79,10 @@ class Response:
         Whether it has settled as far as one sees, but a slower mode seems to begin.
     half_time : float
         When it has first covered half of its largest magnitude [s].
-    quarter_time : float
-        When it has first covered a quarter of its way [s], of one that settles.
+    quarter_time, lag : float
+        Of one that settles: when it has first covered a quarter, and 63 %, of what does not come at once [s].
+    feedthrough : float
+        The part of its way that it covers at once, of one that settles; below 0 if that is the other way.
     held : float
         For how long the output keeps its value between one jump and the next [s]; 0 if it does not.
     """
@@ -95,6 +98,8 @@ class Response:
     creeps: bool = False
     half_time: float = np.inf
     quarter_time: float = np.inf
+    lag: float = np.inf
+    feedthrough: float = 0.0
     held: float = 0.0
 
     @property
@@ -172,8 +177,7 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
         creeps = _creeps(deviation, peak)
         dead = float(time[np.argmax(np.abs(deviation) > _BAND * peak)])
         response = Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
-        covered = deviation * np.sign(final) >= abs(final) / 4
-        return replace(response, quarter_time=float(time[np.argmax(covered)]))
+        return _with_lag(response, time, deviation)
     slope = _common_slope(time, deviation)
     if slope:
         lag = _lag(time, deviation, slope, held)
@@ -188,6 +192,16 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
     rise = _first_reached(time, deviation, peak)
     turns = np.count_nonzero(np.diff(np.sign(deviation[-2 * BLOCK :] - final)))
     return Response(ResponseType.OSCILLATING, final, 0.0, rise, np.inf, peak, rings=bool(turns > 1))
+
+
+def _with_lag(response: Response, time: FloatArray, deviation: FloatArray) -> Response:
+    """Return a response that settles with the times of what it does not do at once: a jump has none."""
+    jump, final = float(deviation[0]), response.effect
+    way = (deviation - jump) * np.sign(final - jump)
+    quarter, lag = (
+        float(time[np.argmax(way >= share * abs(final - jump))] - time[0]) for share in (_QUARTER, _RISEN)
+    )
+    return replace(response, quarter_time=quarter, lag=lag, feedthrough=jump / final if final else 0.0)
 
 
 def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:

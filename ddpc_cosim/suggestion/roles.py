@@ -18,6 +18,7 @@ from ddpc_cosim.suggestion.words import (
     control_error,
     enables,
     is_comparison,
+    is_named_controller,
     listed,
     measurement,
     rank_of_output,
@@ -223,42 +224,43 @@ def without(
 
 
 def controller_words(
-    inputs: Sequence[Variable], outputs: Sequence[Variable], tested: StepTest
+    title: str, inputs: Sequence[Variable], outputs: Sequence[Variable], tested: StepTest
 ) -> Iterator[str]:
     """Yield that the FMU looks like a controller, if it does.
 
     One that compares answers to what is wanted and to what is measured in opposite ways, by as much; a word
-    has to say so too, as two flows into a tank do the same. One that gets the difference is known by words.
+    has to say so too, as two flows into a tank do the same. One that gets the difference is known by words,
+    any by the name of its model.
     """
+    if said := _compares(inputs, outputs, tested) or (title if is_named_controller(title) else ""):
+        yield (
+            f"This looks like a controller ({said}), not like a plant: to try it on one, give both, "
+            "`ddpc-cosim init plant.fmu controller.fmu`"
+        )
+
+
+def _compares(inputs: Sequence[Variable], outputs: Sequence[Variable], tested: StepTest) -> str:
+    """Return what is compared and what comes of it; empty where nothing is compared."""
     words = {variable.name: Wording(variable) for variable in (*inputs, *outputs)}
     for j, output in enumerate(outputs):
         row = tested.responses[j]
         for i, wanted in enumerate(inputs):
             is_error = len(inputs) == 1 and control_error(words[wanted.name])
             if is_error and command(words[output.name]) and _responds(row[i]):
-                yield _controller(wanted.name, output.name)
-                return
+                return f"{wanted.name} -> {output.name}"
             if not setpoint(words[wanted.name]):
                 continue
             for k, other in enumerate(inputs):
                 if k != i and is_comparison(words[wanted.name], words[other.name], words[output.name]):
-                    yield _controller(f"{wanted.name}, {other.name}", output.name)
-                    return
+                    return f"{wanted.name}, {other.name} -> {output.name}"
                 is_called_so = measurement(words[other.name]) or command(words[output.name])
                 if (
                     k != i
                     and is_called_so
                     and _are_opposite(row[i], row[k], tested.steps[i], tested.steps[k])
                 ):
-                    yield _controller(f"{wanted.name}, {other.name}", output.name)
-                    return
-
-
-def _controller(inputs: str, output: str) -> str:
-    return (
-        f"This looks like a controller ({inputs} -> {output}), not like a plant: to try it on one, give "
-        "both, `ddpc-cosim init plant.fmu controller.fmu`"
-    )
+                    return f"{wanted.name}, {other.name} -> {output.name}"
+    return ""
 
 
 def _responds(response: Response) -> bool:

@@ -32,6 +32,7 @@ SHARE = 0.1
 """Part of its room by which an input is stepped first."""
 _LARGER_SHARES, _SMALLER_SHARE = (0.5, 1.0), 0.001
 _NONLINEAR = 0.3
+_OF_A_SOLVER = 1e-3  # of an output's level: what tolerances of solvers may leave
 _LATER = 1.5
 _ALIKE = 0.1  # of its peak: how far responses to a switch may be apart
 _BEYOND = 1e30
@@ -519,7 +520,8 @@ def _run_all(
     if len(rest) < BLOCK and plant.ran_out:
         raise _NotInTimeError("not identified in time: the run with the inputs at rest; raise --budget")
     if len(rest) < BLOCK:
-        raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
+        sizes = "; --sampling-time H if it takes steps of one size only" if "discard" in fault else ""
+        raise CosimError(f"the plant does not run with its inputs at rest: {fault}{sizes}")
     deviations = []
     for i, height in enumerate(steps):
         if not height:
@@ -569,6 +571,9 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
             large = responses[j][i]
             is_late = small.half_time > _LATER * large.half_time  # a switch acts as soon whatever the step is
             if not small.peak > _NONLINEAR * large.peak:
+                continue
+            if is_late and not small.peak > _OF_A_SOLVER * float(np.max(np.abs(tested.rest[:, j]))):
+                responses[j][i] = Response(ResponseType.INSENSITIVE)  # of a thousandth as much: its noise
                 continue
             scaled = deviations[i][:, j] / _SMALLER_SHARE
             if not is_late:

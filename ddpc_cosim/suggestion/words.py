@@ -9,6 +9,7 @@ from ddpc_cosim.variables import Variable
 from fmu_plants.units import parse_unit
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[A-Z]|\d+")
+_UNIT_SAID = re.compile(r"\[([^\[\]]{1,20})\]\s*$")
 _MOST_WORDS = 10  # of a description: what comes later is seldom about what the signal is
 
 
@@ -34,6 +35,12 @@ def listed(names: Iterable[str], most: int, what: str) -> str:
     return ", ".join(every[:most]) + cut
 
 
+def unit_of(variable: Variable) -> str:
+    """Return the unit of a signal; of one without, what its description ends in: ``Altitude [m]``."""
+    said = _UNIT_SAID.search(variable.description)
+    return said[1] if variable.unit == "" and said and exponents_of(said[1]) is not None else variable.unit
+
+
 def exponents_of(unit: str) -> Mapping[str, int] | None:
     """Return the exponents of the SI base units in a unit; None for one that is not known, or for none."""
     try:
@@ -54,7 +61,8 @@ SURROUNDINGS = vocabulary(
     "dirnor difhor drybul drybulb wetbul tout toa oat wind winds winspe windir gust rain rainfall "
     "precipitation occ cloud clouds cloudiness sky climate occupancy occupants occupant people persons "
     "occupan disturbance disturbances perturbation disturb dist atmosphere atmospheric surrounding "
-    "surroundings environment environmental env season road terrain wave waves bump umgebung aussen wetter"
+    "surroundings environment environmental env season road terrain wave waves bump umgebung aussen wetter "
+    "gai qgai intgai intcon intrad intlat"
 )
 """What the weather does, the ground, and people: no actuator is named so."""
 SUPPLIED = vocabulary(
@@ -75,6 +83,8 @@ _CARRIED = vocabulary(
 )
 """Beside ``load``: what it weighs on a plant with."""
 _CONSUMED = vocabulary("heat water power electric electrical electricity hot energy flow steam gas building")
+_GAINED = vocabulary("heat internal convective radiative radiant latent sensible metabolic")
+"""Beside ``gain``: what people and devices bring into a room."""
 _WANTED = vocabulary("torque force speed position current pressure throttle thrust brake")
 """Beside ``demand``: what is consumed, and what a driver wants."""
 DEVICES = vocabulary(
@@ -127,7 +137,8 @@ class Wording:
     """
 
     def __init__(self, variable: Variable) -> None:
-        self.unit, self.exponents = variable.unit, exponents_of(variable.unit)
+        self.unit = unit_of(variable)
+        self.exponents = exponents_of(self.unit)
         self.is_limited = math.isfinite(variable.min) and math.isfinite(variable.max)
         path, _, last = variable.name.rpartition(".")
         self.labels = words_of(last)
@@ -179,12 +190,15 @@ class Wording:
     def _weighs(words: frozenset[str]) -> frozenset[str]:
         """Return the word for a load that weighs on the plant, or a demand that is met."""
         is_load = bool(words & {"load", "loads"} and words & _CARRIED)
+        is_gain = bool(words & {"gain", "gains"} and words & _GAINED)
         is_demand = bool(words & {"demand", "consumption"} and words & _CONSUMED)
         return (
             words & {"load", "loads"}
             if is_load
             else words & {"demand", "consumption"}
             if is_demand
+            else words & {"gain", "gains"}
+            if is_gain
             else frozenset()
         )
 
@@ -305,6 +319,11 @@ _SPENT = vocabulary(
     "power energy cost price consumption work losses loss efficiency cop heat flux balance total cumulative "
     "cmd command status mode flag limit limits setpoint set"
 )
+_METERED = vocabulary("energy cost costs price consumption consumed cumulative ptot etot")
+_CONTROLLERS = vocabulary("regulator pid")
+_AROUND = vocabulary("with and plus plant loop system")
+_STORED = vocabulary("stored storage battery soc charge tank accumulator kinetic potential")
+_TEMPERATURES = vocabulary("temperature temperatures temp")
 _INTERNAL = vocabulary(
     "internal debug der aux auxiliary dummy tmp state derivative residual error err log diag"
 )
@@ -318,3 +337,26 @@ def rank_of_output(variable: Variable) -> int:
     if wording.all & _SPENT or wording.all & SURROUNDINGS:
         return 2
     return 0 if wording.all & _READ or wording.is_temperature else 1
+
+
+def is_reading(variable: Variable) -> bool:
+    """Whether an output is called what one reads and wants to have at a value: a temperature, a level."""
+    return rank_of_output(variable) == 0
+
+
+def is_meter(variable: Variable) -> bool:
+    """Whether an output is called what is spent, as energy or cost; what is stored is none."""
+    said = Wording(variable).all
+    return bool(said & _METERED) and not said & _STORED
+
+
+def is_called_temperature(variable: Variable) -> bool:
+    """Whether a signal without a unit says in a word that it is a temperature."""
+    return variable.unit in ("", "1") and bool(Wording(variable).all & _TEMPERATURES)
+
+
+def is_named_controller(name: str) -> bool:
+    """Whether the name of a model says that it is a controller, and not a plant with one."""
+    said = {*words_of(name)}
+    is_one = bool(said & _CONTROLLERS) or any(word.endswith("controller") for word in said)
+    return is_one and not said & _AROUND

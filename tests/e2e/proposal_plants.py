@@ -922,7 +922,7 @@ EXCHANGER = Delivery(
     plausible={"TSec_K": (293.15, 343.15)},
     levels={"nPmp": (0.05, 1.0), "yVal": (0.05, 1.0)},
     constants=(_SECONDARY / (_FULL_FLOW + _HEAT_LOSS), _SECONDARY / _HEAT_LOSS),
-    told=("next to nothing|nothing responds|does nothing|--at",),
+    told=("next to nothing|do too little|does nothing|--at",),
 )
 
 

@@ -272,6 +272,15 @@ def test_c_sources_are_compiled_fmi_2(tmp_path: Path, own_cache: Path) -> None:
     assert len(list(own_cache.rglob(f"{IDENTIFIER}{SUFFIX}"))) == 1
 
 
+def test_headers_among_the_sources_are_included_and_not_compiled(tmp_path: Path, own_cache: Path) -> None:
+    """As some tools list them; their folders are searched for headers then."""
+    listed = LISTED.replace("</SourceFiles>", '<File name="lib/models.h"/></SourceFiles>')
+    files = {f"sources/{name}": source(name) for name in ("models.c", "front2.c")}
+    files["sources/lib/models.h"] = source("models.h")
+    path = write_fmu(tmp_path / "lag.fmu", lag_description(interfaces=listed), None, **files)
+    assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
+
+
 def test_c_sources_are_compiled_fmi_3(tmp_path: Path, own_cache: Path) -> None:
     files = {
         "sources/buildDescription.xml": BUILD_3,

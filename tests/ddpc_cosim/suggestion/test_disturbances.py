@@ -209,8 +209,14 @@ def limited_controller() -> PlantModel:
             ),
             "This looks like a controller (error -> y)",
         ),
+        (
+            model(
+                "TankController", "valve", (Variable("level", "m"),), lambda v: {"valve": v.level - v.valve}
+            ),
+            "This looks like a controller (TankController)",
+        ),
     ],
-    ids=["pi", "at its limit", "of a difference"],
+    ids=["pi", "at its limit", "of a difference", "by its name"],
 )
 def test_a_controller_is_called_one(
     plant: PlantModel, words: str, own_cache_folder: None, tmp_path: Path

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from fmus.builder import CO_SIMULATION, V, describe, model_library, write_fmu
 
+from ddpc_cosim import CosimError
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.design import input_bounds
 from ddpc_cosim.variables import Variable as InputVariable
@@ -116,7 +117,83 @@ def test_a_range_that_was_guessed_too_small_is_widened(own_cache_folder: None, t
     valve = model("threshold", FLOW, (Variable("signal"),), lambda v: Max(v.signal - 40, 0) - v.flow)
     study, text = study_of(build_fmu(valve), tmp_path)
     assert study["bounds"]["signal"]["max"] == pytest.approx(101.0)
-    assert "nothing responds: tried signal -101:101; --range NAME=LO:HI if that is too far" in text
+    assert "the inputs do too little: tried signal -101:101; --range NAME=LO:HI if that is too far" in text
+
+
+def house(name: str, description: str, gain: float = 1e-3) -> PlantModel:
+    """room' = (20 degC + gain q - room) / 600, and a meter of q, which nothing limits."""
+    room = Variable("TZone", "K", start=293.15, description="Zone air temperature")
+    meter = Variable(name, "", description=description)
+    return PlantModel(
+        name="house",
+        equations=lambda v: Equations({"TZone": (293.15 + gain * v.QHeat - v.TZone) / 600, name: v.QHeat}),
+        states=(room, meter),
+        inputs=(Variable("QHeat", description="Heating input to zone"),),
+        outputs=(room, meter),
+        stop_time=86400.0,
+    )
+
+
+def test_what_is_spent_is_no_setpoint_as_long_as_something_is_read(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    """One watt moves the meter and hardly the room: it is the guess of a watt that is wrong."""
+    study, _ = study_of(build_fmu(house("EHeat", "Energy consumption of heater")), tmp_path)
+    assert [*study["reference"]] == ["TZone"]
+    assert study["bounds"]["QHeat"]["max"] >= 100.0
+    assert max(study["reference"]["TZone"]["values"]) > 293.15 + 0.01
+
+
+def test_what_is_stored_is_no_meter_and_a_meter_alone_is_controlled(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    stored = house("E", "Energy stored in the tank", gain=10.0)
+    study, _ = study_of(build_fmu(stored), tmp_path, outputs=["E"])
+    assert [*study["reference"]] == ["E"]
+    alone = model(
+        "bill", Variable("cost"), (Variable("use", min=0.0, max=2.0, start=1.0),), lambda v: v.use - 1
+    )
+    study, _ = study_of(build_fmu(alone), tmp_path / "alone")
+    assert [*study["reference"]] == ["cost"]
+
+
+def test_a_heater_of_one_watt_does_not_make_a_cold_room_comfortable(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    """room' = (0 degC + q / 50 - room) / 600 of a heater that declares nothing: +-1 W is the first guess."""
+    cold = Variable("TRoom", "degC")
+    heater = Variable("q", "W")
+    study, text = study_of(
+        build_fmu(model("hut", cold, (heater,), lambda v: (v.q / 50 - v.TRoom) / 600)), tmp_path
+    )
+    assert "not as a room should be" not in text
+    assert study["bounds"]["q"]["max"] >= 10.0
+
+
+@pytest.mark.parametrize(("declared", "highest"), [({}, 11.0), ({"min": -1.0, "max": 1.0}, 1.0)])
+def test_a_guess_is_widened_where_the_plant_moves_further_by_itself(
+    declared: dict[str, float], highest: float, own_cache_folder: None, tmp_path: Path
+) -> None:
+    """w' = u - 5: a brake takes it down while u rests at 0, and +-1 is the first guess."""
+    brake = model("brake", Variable("w", "rad/s"), (Variable("u", "N.m", **declared),), lambda v: v.u - 5)
+    study, text = study_of(build_fmu(brake), tmp_path)
+    assert study["bounds"]["u"]["max"] == highest
+    assert ("the inputs do too little: tried u -11:11" in text) == (highest > 1.0)
+
+
+def test_where_every_response_returns_no_setpoint_is_proposed(own_cache_folder: None, tmp_path: Path) -> None:
+    """y = u - x with x' = u - x: whatever u is held at, y goes back to 0."""
+    x, u = Variable("x"), Variable("u", min=-1.0, max=1.0)
+    washout = PlantModel(
+        name="washout",
+        equations=lambda v: Equations({"x": v.u - v.x}, {"y": v.u - v.x}),
+        states=(x,),
+        inputs=(u,),
+        outputs=(Variable("y"),),
+        stop_time=20.0,
+    )
+    with pytest.raises(CosimError, match="held at other values, u took y nowhere else; --range or --at"):
+        suggest_study(build_fmu(washout))
 
 
 def test_a_result_that_depends_on_the_step_size_is_told(tmp_path: Path) -> None:

@@ -5,8 +5,16 @@ from dataclasses import replace
 import pytest
 
 from ddpc_cosim.description import DescribedVariable, PlantDescription, Values, describe
+from ddpc_cosim.suggestion.quantities import usual_levels
 from ddpc_cosim.suggestion.roles import order_of_outputs, roles_of
-from ddpc_cosim.suggestion.words import Wording, is_comparison, listed, words_of
+from ddpc_cosim.suggestion.words import (
+    Wording,
+    is_comparison,
+    is_named_controller,
+    listed,
+    unit_of,
+    words_of,
+)
 from ddpc_cosim.variables import Variable
 
 
@@ -58,6 +66,12 @@ def test_a_list_that_is_cut_says_of_how_many() -> None:
         ("q [W], sun [W/m2], h [kW/m2]", {"sun", "h"}),
         ("Toutdoor [K], Tsupply [K], mfan [kg/s]", {"Toutdoor"}),
         ("T_oda, Q_flow_heat", {"T_oda"}),
+        ("Tamb (Outside [K]), valve", {"Tamb"}),
+        # what people and devices bring into a room; the gain of a controller is none
+        ("intCon_wes, intRad_wes, conHeat_wes", {"intCon_wes", "intRad_wes"}),
+        ("zone_QGaiRad_flow [W], QHea [W]", {"zone_QGaiRad_flow"}),
+        ("q1 [W] (Internal heat gain), q2 [W] (heating)", {"q1"}),
+        ("cylinderGain, motorSpeed", set()),
         # loads that weigh on a plant, and what is consumed
         ("loadTorque [N.m], voltage [V]", {"loadTorque"}),
         ("heatDemand [W], boilerPower [W]", {"heatDemand"}),
@@ -203,3 +217,24 @@ def test_readings_come_before_what_is_spent_and_what_goes_on_inside() -> None:
     outputs = signals("internal.x, power [W], z, oveHeat_y [W], T [K], level (tank level)")
     order = order_of_outputs(outputs, ["oveHeat_u"])
     assert order == ["T", "level", "z", "power", "internal.x", "oveHeat_y"]
+
+
+@pytest.mark.parametrize(
+    ("name", "is_one"),
+    [
+        ("WinchController", True),
+        ("tankcontroller", True),
+        ("PID", True),
+        ("ControlledTemperature", False),
+        ("PlantWithController", False),
+    ],
+)
+def test_a_model_may_be_named_a_controller(name: str, is_one: bool) -> None:
+    assert is_named_controller(name) == is_one
+
+
+def test_a_unit_at_the_end_of_a_description_counts_where_there_is_none() -> None:
+    said = signals("Alt (Altitude [m]), T [degC] (in [K]), Mach (number [-]), x (state [1] of it)")
+    assert [unit_of(variable) for variable in said] == ["m", "degC", "", ""]
+    cold = Variable("Tamb", description="[K]")
+    assert usual_levels([cold], (), {}) == {"Tamb": 293.15}

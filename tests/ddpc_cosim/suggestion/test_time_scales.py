@@ -1,5 +1,6 @@
 """Sampling time and duration fit plants of every kind; the formulas are those of elementary systems."""
 
+import math
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import odeint
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
@@ -14,7 +16,7 @@ from ddpc_cosim import FMUStepError, Plant, Variable
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
-from ddpc_cosim.suggestion.rates import rates_among
+from ddpc_cosim.suggestion.rates import with_rates
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
@@ -123,6 +125,31 @@ def test_a_time_constant_has_five_to_thirty_samples_and_a_setpoint_time_to_settl
     assert choice.time_scale == pytest.approx(settling, rel=0.15)
     assert 4.99 <= constant / sample <= 30.01
     assert duration >= 2 * settling
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.2, 0.8, 0.93])
+@pytest.mark.parametrize(
+    ("constant", "timing"),
+    [(0.02, OPEN), (1800.0, OPEN), (10.0, fixed(0.5))],
+    ids=["fast", "thermal", "equal steps"],
+)
+def test_what_comes_at_once_is_no_part_of_the_time_constant(
+    share: float, constant: float, timing: Timing
+) -> None:
+    """y = s u + (1 - s) x: what takes its time is a lag of first order, whatever s is."""
+    plant = Linear(-1 / constant, 1 / constant, 1 - share, share)
+    _, choice, sample, duration = proposed(plant, timing)
+    assert not choice.guessed
+    assert 4.99 <= constant / sample <= 20.01
+    assert duration >= 6 * constant
+
+
+@pytest.mark.parametrize("fast", [0.2, 0.3, 0.35])
+def test_what_is_not_at_once_but_five_to_thirty_times_as_fast_is_sampled(fast: float) -> None:
+    """Half of the way by a lag of its own: no feedthrough."""
+    plant = Linear(np.diag([-1 / fast, -0.1]), [1 / fast, 0.1], [0.5, 0.5])
+    _, _, sample, _ = proposed(plant, OPEN)
+    assert sample <= fast
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(1.0, 0.1), (100.0, 0.05), (1.0, 0.01)])
@@ -315,6 +342,27 @@ def test_a_larger_step_that_ends_early_is_told() -> None:
     assert tested.responses[0][1].type is ResponseType.SETTLED
 
 
+class Tolerant(Linear):
+    """A solver's tolerance: the same error whatever the step is, later after a smaller one."""
+
+    def __init__(self, level: float) -> None:
+        super().__init__(-1, [[0.0]], 1)
+        self.level = level
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        super().step(u, h)
+        since = self.t / (1 + math.log(1 / abs(u[0]))) if u[0] else 0.0
+        return np.array([self.level + 0.01 * (1 - math.exp(-((since / 5) ** 2)))])
+
+
+def test_the_noise_of_a_solver_is_no_instability() -> None:
+    """Of 300 K a hundredth is what tolerances leave; at 0 it is an equilibrium that the plant leaves."""
+    resting = Resting(np.zeros(1), np.ones(1))
+    noisy, unstable = (step_test(Tolerant(level), resting, OPEN) for level in (300.0, 0.0))
+    assert noisy.responses[0][0].type is ResponseType.INSENSITIVE
+    assert (noisy.unstable, unstable.unstable) == (frozenset(), {0})
+
+
 class Kicked(Linear):
     """The same, with an output that is far away at the first samples: after a step, or at rest as well."""
 
@@ -371,7 +419,7 @@ def test_a_third_that_is_a_seventeenth_as_slow_is_sampled_too() -> None:
 
 def rates(plant: Linear) -> frozenset[int]:
     resting = Resting(np.zeros(1), np.ones(1))
-    return rates_among(plant, resting, step_test(plant, resting, OPEN), None)
+    return with_rates(plant, resting, step_test(plant, resting, OPEN), None).rates
 
 
 def test_of_what_falls_over_the_rate_is_told_from_the_angle() -> None:
@@ -382,6 +430,42 @@ def test_of_what_falls_over_the_rate_is_told_from_the_angle() -> None:
     assert rates(mixed) == frozenset()
     mixed.outputs = Variable("a", "deg/s"), Variable("b", "rad")
     assert rates(mixed) == {0}
+
+
+class Rod(Linear):
+    """phi' = omega, omega' = 6 sin(phi) - 0.2 omega + u: it falls over, and a torque keeps it turning."""
+
+    outputs: tuple[Variable, ...] = Variable("phi", "rad"), Variable("omega", "rad/s")
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        def slopes(x: FloatArray, t: float) -> list[float]:
+            return [x[1], 6.0 * np.sin(x[0]) - 0.2 * x[1] + u[0]]
+
+        self.x = odeint(slopes, self.x, [0.0, h], rtol=1e-8, atol=1e-12)[-1]
+        return np.asarray(self.c @ self.x)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_angle_of_a_rod_that_turns_on_and_on_is_as_unstable_as_its_rate(order: tuple[int, int]) -> None:
+    """Far from where it stood the angle integrates; lambda = -0.1 + sqrt(0.01 + 6) where it stood."""
+    plant = Rod(np.zeros((2, 2)), np.zeros((2, 1)), np.eye(2)[list(order)])
+    plant.outputs = tuple(Rod.outputs[k] for k in order)
+    resting, timing = Resting(np.zeros(1), np.array([20.0])), Timing(2e-3, longest=20.0, blocks=9)
+    before = step_test(plant, resting, timing)
+    angle, rate = order.index(0), order.index(1)
+    assert [any(r.is_unstable for r in before.responses[j]) for j in (angle, rate)] == [False, True]
+    tested = with_rates(plant, resting, before, None)
+    eigenvalue = np.sqrt(0.01 + 6.0) - 0.1
+    assert tested.responses[angle][0].rise_time == pytest.approx(np.log(2) / eigenvalue, rel=0.1)
+    effects = [tested.responses[j][0].effect for j in (angle, rate)]
+    assert effects[0] == pytest.approx(effects[1] / eigenvalue, rel=0.1)
+    assert choose(tested, resting.room, 10.0, all_outputs=False).outputs == (angle,)
+
+
+def test_a_stable_output_beside_what_falls_over_is_not_its_integral() -> None:
+    """Of x' = 3 x + u and z' = x - z, z is no integral of x."""
+    plant = Linear([[3.0, 0.0], [1.0, -1.0]], [1, 0], np.eye(2))
+    assert rates(plant) == frozenset()
 
 
 def test_outputs_that_run_away_side_by_side_are_no_rates_of_each_other() -> None:
