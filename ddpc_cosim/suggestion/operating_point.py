@@ -107,7 +107,8 @@ class TriedPoint:
     @property
     def holds_nothing(self) -> bool:
         """Whether every chosen output went back to where it rests, whatever the inputs were held at."""
-        if self.reach is None:
+        drifts = design.drifting(self.tested)
+        if self.reach is None or any(drifts[j] for j in self.choice.outputs):
             return False
         peaks = [max(r.peak for r in self.tested.responses[j]) for j in self.choice.outputs]
         farthest = np.maximum(self.reach.up, self.reach.down)

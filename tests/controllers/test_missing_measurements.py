@@ -25,7 +25,7 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
         affine_sum="all", lambda_g=1e-6, apply_steps=3, use_current_output=True
     ),
     "DeePC, rates": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, rate_bounds=5.0),
-    # A smaller weight leaves a minimum so flat that two solutions within the solver's tolerance differ by 4e-3.
+    # A smaller weight leaves a minimum so flat that solutions within the solver's tolerance differ by 4e-3.
     "DeePC, L1": lambda: printed_deepc(affine_sum="all", lambda_g=1e-2, regulariser="l1"),
     "DeePC, equilibrium": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, regulariser="equilibrium"),
     "DeePC, online": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, online_data="sliding-window"),

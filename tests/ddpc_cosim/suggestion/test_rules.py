@@ -247,12 +247,12 @@ RULES = {
     "a watt heats no house": Rule(
         warmed(TEMPERATURE, WATTS),
         warmed(TEMPERATURE, Variable("Q", "W", min=-1e3, max=1e3)),  # as little, and it is declared
-        said("Within the ranges that were guessed first nothing responds: tried Q"),
+        said("Within the ranges that were guessed first the inputs do too little: tried Q"),
     ),
     "of temperatures alone": Rule(
         warmed(TEMPERATURE, WATTS),
         warmed(Variable("x", "m", start=1.0), WATTS),
-        said("Within the ranges that were guessed first nothing responds: tried Q"),
+        said("Within the ranges that were guessed first the inputs do too little: tried Q"),
     ),
     "a day": Rule(room(_daily), room(lambda time: 6 * time / DAY), said("repeats every 24 h")),
     "a day on a slope": Rule(
