@@ -24,7 +24,7 @@ def _written_out(expression: sympy.Expr) -> sympy.Expr:
     """Write small powers as products; not where SymPy then takes an argument of Max or Min for not real."""
     try:
         return _expand_powers(expression)
-    except ValueError:
+    except (TypeError, ValueError):  # "invalid comparison of non-real", "not comparable"
         return expression
 
 
