@@ -84,6 +84,7 @@ from .signals.signals import (
     Sine as Sine,
     Steps as Steps,
     Sum as Sum,
+    TabulatedSignal as TabulatedSignal,
     WhiteNoise as WhiteNoise,
 )
 from .simulation import Simulation as Simulation, simulate as simulate

@@ -14,6 +14,7 @@ with 0 degC outdoors and no sun.
 """
 
 from fmu_plants import DisplayUnit, Equations, PlantModel, Symbols, Variable, tunable
+from fmu_plants.units import KELVIN
 
 KWH = 3.6e6  # J
 CAPACITIES = {"air": 0.9 * KWH, "heater": 0.3 * KWH, "envelope": 3.2 * KWH}  # J/K
@@ -22,7 +23,7 @@ WINDOW_AREA = 6.0  # m2, effective
 INDOOR, OUTDOOR = 293.15, 273.15  # K
 
 HEATING = (INDOOR - OUTDOOR) / (RESISTANCES["air_envelope"] + RESISTANCES["envelope_outdoor"])  # W
-CELSIUS = DisplayUnit("degC", 1.0, -273.15)
+CELSIUS = DisplayUnit("degC", 1.0, -KELVIN)
 
 
 def _temperature(name: str, start: float, description: str) -> Variable:

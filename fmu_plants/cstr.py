@@ -20,6 +20,7 @@ coolant of 303.23 K and 335.7 K in the reactor: above that coolant it ignites.
 from math import exp
 
 from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable, tunable
+from fmu_plants.units import KELVIN
 
 MINUTE = 60.0  # s
 VOLUME = 100.0  # L
@@ -31,7 +32,7 @@ HEAT_CAPACITY = 1000.0 * 0.239  # J/(L.K): density times specific heat
 HEAT_TRANSFER = 5e4 / MINUTE  # W/K
 START_TEMPERATURE = 324.475443431599  # K, the cold equilibrium for a coolant of 300 K
 
-CELSIUS = DisplayUnit("degC", 1.0, -273.15)
+CELSIUS = DisplayUnit("degC", 1.0, -KELVIN)
 
 
 def _equilibrium(temperature: float) -> tuple[float, float]:

@@ -364,6 +364,11 @@ class PlantModel:
         return self.control.actuators if self.control else ()
 
     @property
+    def overrides(self) -> dict[str, str]:
+        """The actuators of the embedded control by the inputs that act instead of it."""
+        return {override_name(actuator.name): actuator.name for actuator in self.actuators}
+
+    @property
     def memory(self) -> tuple[Variable, ...]:
         """What the embedded control remembers."""
         return self.control.memory if self.control else ()

@@ -43,13 +43,9 @@ The year begins on a Monday; clocks have solar time. Weather, presence and setpo
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fmu_plants import (
     DisplayUnit,
@@ -63,24 +59,14 @@ from fmu_plants import (
     Variable,
     tunable,
 )
-from fmu_plants.weather import (
-    DAY,
-    HOUR,
-    HOURS,
-    KELVIN,
-    YEAR,
-    FloatArray,
-    Wall,
-    WeatherYear,
-    fading_noise,
-    synthetic_year,
-    year_times,
-)
+from fmu_plants.units import DAY, HOUR, KELVIN, YEAR
+
+if TYPE_CHECKING:
+    from fmu_plants.weather import FloatArray, Wall
 
 CELSIUS = DisplayUnit("degC", 1.0, -KELVIN)
 HOURS_SHOWN = DisplayUnit("h", 1 / HOUR)
 GROUND = 10.0 + KELVIN  # K, the mean of a year outdoors
-WEATHER_SEED, PRICE_SEED = 5, 5
 
 COP = (6.81, -0.121, 0.00063)
 COP_RANGE = (15.0, 60.0)  # K
@@ -96,7 +82,7 @@ class Zone(NamedTuple):
     """What a zone consists of: m2, W/K, K/W, J/K, W. The values are chosen here; see `ZONES`."""
 
     area: float
-    windows: dict[Wall, float]
+    windows: dict["Wall", float]
     air_capacity: float
     floor_capacity: float
     envelope_capacity: float
@@ -109,7 +95,7 @@ class Zone(NamedTuple):
     heat_pump_power: float
 
 
-def _zone(area: float, opaque: float, partition: float, power: float, windows: dict[Wall, float]) -> Zone:
+def _zone(area: float, opaque: float, partition: float, power: float, windows: dict["Wall", float]) -> Zone:
     """Return a zone built as houses of about 2010 are.
 
     Per m2 of floor: 20 kJ/K of air, furniture and linings, a screed of 65 mm (130 kJ/K), 0.25 W/K to the
@@ -175,7 +161,7 @@ def heat_pump_heat(floor: Any, outdoors: Any, power: Any, resistance: Any) -> An
     return power * cop(Min(Max(lift(floor, outdoors, power, resistance), low), high))
 
 
-IRRADIANCE: dict[Wall, str] = {"south": "HVerSou", "west": "HVerWes", "north": "HVerNor", "east": "HVerEas"}
+IRRADIANCE: dict["Wall", str] = {"south": "HVerSou", "west": "HVerWes", "north": "HVerNor", "east": "HVerEas"}
 WEATHER_SHOWN = ("TDryBul", "HGloHor", "HDirNor", "HDifHor")
 
 
@@ -240,99 +226,29 @@ def rules(v: Symbols) -> Rules:
     return Rules(actuators, memory)
 
 
-# The household: four persons, at home before 7 and after 20 o'clock on weekdays, and at weekends. The year
-# begins on a Monday.
-PERSONS = 4
-AT_NIGHT = (22, 7)
+# The household: its comfort, at home and away.
 COMFORT, ABSENCE = (21.0, 24.0), (15.0, 30.0)  # degC
 
 
-class Presence(NamedTuple):
-    """Who is where in each hour of the year, and the next; each of shape (8761,)."""
+def _year() -> Any:
+    """Return the module of the tables: it needs NumPy, whose import reading the variables must not cost."""
+    from fmu_plants import two_zone_year
 
-    home: NDArray[np.bool_]
-    asleep: NDArray[np.bool_]
-
-
-def presence() -> Presence:
-    """Return when the household is at home, and when it sleeps."""
-    hours = np.arange(HOURS + 1) % HOURS
-    hour = hours % 24
-    weekday = hours // 24 % 7 < 5
-    home = ~weekday | (hour < 7) | (hour >= 20)
-    start, end = AT_NIGHT
-    return Presence(home, (hour >= start) | (hour < end))
+    return two_zone_year
 
 
-@cache
-def weather() -> WeatherYear:
-    """Return the weather of the house."""
-    return synthetic_year(WEATHER_SEED)
-
-
-def _weather_table() -> tuple[FloatArray, FloatArray]:
-    year = weather()
-    columns = (
-        year.temperature,
-        year.global_horizontal,
-        year.direct_normal,
-        year.diffuse_horizontal,
-        *(year.walls[wall] for wall in IRRADIANCE),
-    )
-    return year.times, np.column_stack(columns)
-
-
-def _occupancy_table() -> tuple[FloatArray, FloatArray]:
-    home, asleep = presence()
-    return year_times(), PERSONS * np.column_stack([home & ~asleep, home & asleep]).astype(float)
-
-
-def _gains() -> dict[int, FloatArray]:
-    """Return what persons and devices give to each zone, W: half by convection, half by radiation."""
-    home, asleep = presence()
-    awake = home & ~asleep
-    return {
-        1: np.where(awake, 350.0 + PERSONS * 75.0, 100.0),
-        2: np.where(home & asleep, 30.0 + PERSONS * 60.0, 30.0),
-    }
-
-
-def _gains_table() -> tuple[FloatArray, FloatArray]:
-    gains = _gains()
-    return year_times(), np.column_stack([gains[i] / 2 for i in ZONES for _ in ("Con", "Rad")])
-
-
-def _setpoints_table() -> tuple[FloatArray, FloatArray]:
-    home = presence().home
-    band = [np.where(home, at_home, away) + KELVIN for at_home, away in zip(COMFORT, ABSENCE, strict=True)]
-    return year_times(), np.column_stack(band * len(ZONES))
-
-
-def _schedule_table() -> tuple[FloatArray, FloatArray]:
-    """Return how long it takes until somebody comes home, and until all leave; 0 where it is so."""
-    home = presence().home
-    return year_times(), np.column_stack([_until(home), _until(~home)])
-
-
-def _until(state: NDArray[np.bool_]) -> FloatArray:
-    """Return in how many s, at each hour of a year that repeats, the state holds."""
-    twice = np.flatnonzero(np.append(state[:-1], state[:-1]))
-    hours = np.arange(HOURS + 1) % HOURS
-    return HOUR * (twice[np.searchsorted(twice, hours)] - hours).astype(float)
-
-
-def heating_load() -> FloatArray:
+def heating_load() -> "FloatArray":
     """Return the heat that holds the comfort of those at home, each day if it lasted for ever, W, (365,)."""
-    year = weather()
-    conductance = sum(
-        zone.air_outdoor + 1 / (1 / zone.air_envelope + 1 / zone.envelope_outdoor) for zone in ZONES.values()
-    )
-    ground = sum(zone.floor_ground for zone in ZONES.values()) * (COMFORT[0] + KELVIN - GROUND)
-    sun = WINDOW_TRANSMITTANCE * sum(
-        area * year.walls[wall] for zone in ZONES.values() for wall, area in zone.windows.items()
-    )
-    load = conductance * (COMFORT[0] + KELVIN - year.temperature) + ground - sun - sum(_gains().values())
-    return np.asarray(load[:-1].reshape(365, 24).mean(axis=1))
+    zones = ZONES.values()
+    ground = sum(zone.floor_ground for zone in zones)
+    outdoors = sum(z.air_outdoor + 1 / (1 / z.air_envelope + 1 / z.envelope_outdoor) for z in zones)
+    windows = dict.fromkeys(IRRADIANCE, 0.0)
+    for zone in zones:
+        for wall, area in zone.windows.items():
+            windows[wall] += WINDOW_TRANSMITTANCE * area
+    inside = COMFORT[0] + KELVIN
+    load: FloatArray = _year().heating_load(inside, outdoors, ground * (inside - GROUND), windows)
+    return load
 
 
 def days() -> dict[str, int]:
@@ -341,12 +257,12 @@ def days() -> dict[str, int]:
     As BOPTEST's: of the median the day that is nearest below. Warm-up and test lie within the year.
     """
     load = heating_load()
-    possible = np.arange(14, 358)
-    heating = possible[load[possible] > 0]
-    below = heating[load[heating] <= np.median(load[heating])]
+    possible = range(14, 358)
+    heating = [day for day in possible if load[day] > 0]
+    middle = median(load[day] for day in heating)
     return {
-        "peak_heat_day": int(possible[np.argmax(load[possible])]),
-        "typical_heat_day": int(below[np.argmax(load[below])]),
+        "peak_heat_day": max(possible, key=load.__getitem__),
+        "typical_heat_day": max((day for day in heating if load[day] <= middle), key=load.__getitem__),
     }
 
 
@@ -366,25 +282,7 @@ def _json(content: Any) -> str:
     return json.dumps(content, indent=4) + "\n"
 
 
-def _prices_table() -> tuple[FloatArray, FloatArray]:
-    """Return three tariffs: what networks and taxes take, 0.20 EUR/kWh, and the energy."""
-    hour = np.arange(HOURS + 1) % 24
-    day = (hour >= 7) & (hour < 22)
-    energy = (np.full(HOURS + 1, 0.0535), np.where(day, 0.0666, 0.0383), _day_ahead())
-    return year_times(), 0.20 + np.column_stack(energy)
-
-
-def _day_ahead() -> FloatArray:
-    """Return hourly prices as of a day-ahead market, EUR/kWh: dear in mornings and evenings."""
-    hour = np.arange(HOURS) % 24
-    wave = 0.6 * np.cos(2 * np.pi * (hour - 8) / 12) + 0.4 * np.cos(2 * np.pi * (hour - 18) / 24)
-    market = fading_noise(np.random.default_rng(PRICE_SEED), DAY)
-    prices = 0.097 + 0.04 * wave + 0.025 * market
-    return np.append(prices, prices[0])
-
-
 STEP = 900.0  # s
-_Values = Callable[[], tuple[FloatArray, FloatArray]]
 
 
 def _temperature(name: str, celsius: float, description: str) -> Variable:
@@ -425,13 +323,13 @@ WEATHER = InputTable(
             }.items()
         ),
     ),
-    values=_weather_table,
+    values=lambda: _year().weather_table(IRRADIANCE),
     period=YEAR,
 )
 OCCUPANCY = _table(
     "occupancy.csv",
     tuple(Variable(f"Occupancy{i}", description=f"Persons in zone {i}") for i in ZONES),
-    _occupancy_table,
+    lambda: _year().occupancy_table(),
     ("Occupancy",),
 )
 GAINS = _table(
@@ -443,7 +341,7 @@ GAINS = _table(
         for i in ZONES
         for kind, text in {"Con": "Convective", "Rad": "Radiative"}.items()
     ),
-    _gains_table,
+    lambda: _year().gains_table(),
     ("InternalGainsCon", "InternalGainsRad"),
 )
 SETPOINTS = _table(
@@ -453,7 +351,7 @@ SETPOINTS = _table(
         for i in ZONES
         for edge, celsius in zip(("Lower", "Upper"), COMFORT, strict=True)
     ),
-    _setpoints_table,
+    lambda: _year().setpoints_table(COMFORT, ABSENCE),
     ("LowerSetp", "UpperSetp"),
 )
 SCHEDULE = _table(
@@ -465,17 +363,17 @@ SCHEDULE = _table(
             "UntilAway": "Time until all leave, 0 where all are away",
         }.items()
     ),
-    _schedule_table,
+    lambda: _year().schedule_table(),
 )
 PRICES = _table(
     "prices.csv",
     tuple(Variable(f"PriceElectricPower{kind}") for kind in ("Constant", "Dynamic", "HighlyDynamic")),
-    _prices_table,
+    lambda: _year().prices_table(),
 )
 EMISSIONS = _table(
     "emissions.csv",
     (Variable("EmissionsElectricPower"),),
-    lambda: (np.array([0.0, YEAR]), np.full((2, 1), 0.167)),
+    lambda: _year().emissions_table(),
 )
 KPIS = {f"OperativeZoneTemperature[{i}]": [f"reaTZon{i}_y"] for i in ZONES} | {
     "ElectricPower": ["reaPHeaPum_y"]

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+KELVIN = 273.15
+"""0 degC [K]."""
+HOUR, DAY, YEAR = 3600.0, 86400.0, 365 * 86400.0
+"""Times [s]; of a year that is no leap year."""
+
 _TOKEN = re.compile(r"\s*(?:(?P<symbol>[A-Za-z%°µ]+)(?P<power>[-+]?\d+)?|(?P<one>1)|(?P<mark>[./*()]))")
 
 
@@ -87,7 +92,7 @@ _PLAIN = {
     "min": SIUnit({"s": 1}, 60.0),
     "h": SIUnit({"s": 1}, 3600.0),
     "d": SIUnit({"s": 1}, 86400.0),
-    "degC": SIUnit({"K": 1}, 1.0, 273.15),
+    "degC": SIUnit({"K": 1}, 1.0, KELVIN),
     "degF": SIUnit({"K": 1}, 5 / 9, 45967 / 180),
     "lb": SIUnit({"kg": 1}, 0.45359237),
     "kgf": SIUnit({"kg": 1, "m": 1, "s": -2}, 9.80665),

@@ -21,14 +21,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu_plants.units import DAY, HOUR, KELVIN, YEAR
+
 FloatArray = NDArray[np.float64]
 
-HOUR = 3600.0  # s
-DAY = 24 * HOUR
 HOURS = 365 * 24
-YEAR = HOURS * HOUR
 SOLAR_CONSTANT = 1361.0  # W/m2
-KELVIN = 273.15  # K at 0 degC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

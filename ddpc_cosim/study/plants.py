@@ -17,7 +17,7 @@ from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, DataError, FMUImportError
 from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
-from ddpc_cosim.files.time_tables import TimeTable
+from ddpc_cosim.files.time_tables import TimeTable, read_time_table
 from ddpc_cosim.loop.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -252,8 +252,13 @@ class PlantSpec:
             files = ResourceFiles(Path(self.fmu))
             return PlantTables({name: partial(files.table, name) for name in files.tables})
         plugin = self._plugin()
-        tables = plugin.tables if _is_model(plugin) else ()
-        return PlantTables({table.file: partial(_table_of_model, table) for table in tables})
+        if not _is_model(plugin):
+            return PlantTables({})
+        texts = {name: text for name, text in plugin.resources.items() if name.lower().endswith(".csv")}
+        return PlantTables(
+            {table.file: partial(_table_of_model, table) for table in plugin.tables}
+            | {name: partial(_table_in_text, name, text) for name, text in texts.items()}
+        )
 
     def built(self) -> Self:
         """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
@@ -371,6 +376,11 @@ def _table_of_model(table: "InputTable") -> TimeTable:
     time, values = table.values()
     units = {column: v.unit for column, v in zip(table.heads, table.variables, strict=True) if v.unit}
     return TimeTable(table.file, time, values, table.heads, units)
+
+
+def _table_in_text(name: str, text: str | Callable[[], str]) -> TimeTable:
+    """Return a further file of a plant of equations as a table over time; DataError: it is none."""
+    return read_time_table(name, (text() if callable(text) else text).encode())
 
 
 def _coupled(section: "PlantSection") -> CoupledSpec:

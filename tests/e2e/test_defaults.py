@@ -63,6 +63,9 @@ class Problem(NamedTuple):
     amplitude: Sequence[float]
 
 
+WITHOUT_PROBLEM = {"two-zone-house": "it is held in a band, in weather: tests/e2e/test_buildings.py"}
+"""Stable plants on which nothing steps."""
+
 PROBLEMS = {
     "pendulum": Problem(["torque"], ["angle"], ["angle", "angular_velocity"], 0.1, [0.0], [3.5]),
     "cstr": Problem(
@@ -96,7 +99,8 @@ def is_stable(model: PlantModel) -> bool:
 
 def test_every_stable_plant_has_a_problem_and_no_other() -> None:
     stable = {name for name in plugin_names("plants") if is_stable(load_plugin("plants", name))}
-    assert stable == set(PROBLEMS)
+    assert stable - set(WITHOUT_PROBLEM) == set(PROBLEMS)
+    assert set(WITHOUT_PROBLEM) <= stable
 
 
 def test_every_reason_is_that_of_a_method() -> None:

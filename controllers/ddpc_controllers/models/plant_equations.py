@@ -26,7 +26,6 @@ from ddpc_cosim import (
     Variable,
 )
 from ddpc_cosim.plugins import installed, load_plugin
-from fmu_plants.model import override_name
 
 _STEP_TIMES_POLE = 2.0
 """Runge-Kutta steps of fourth order are stable up to 2.78."""
@@ -137,8 +136,7 @@ class PlantEquations:
         _check_names(model, driven, known, [variable.name for variable in signals], given)
         self.tables = model.tables
         constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
-        overridden = {override_name(v.name): v.name for v in model.actuators}
-        commands = [overridden.get(name, name) for name in driven]
+        commands = [model.overrides.get(name, name) for name in driven]
 
         states = [state.name for state in model.states]
         acting = [*known, *(variable.name for variable in model.columns)]
@@ -247,9 +245,8 @@ def _check_names(
     given: Mapping[str, float],
 ) -> None:
     acting = {*driven, *disturbances}
-    overrides = [override_name(v.name) for v in model.actuators]
     known = {
-        "input": ([*(v.name for v in model.inputs), *overrides], driven),
+        "input": ([*(v.name for v in model.inputs), *model.overrides], driven),
         "input that is not driven, as a known disturbance is,": (
             [v.name for v in model.inputs if v.name not in driven],
             disturbances,
@@ -265,7 +262,7 @@ def _check_names(
     ]
     faults += [
         f'NMPC: model {model.name} controls "{name}" itself, whose rules no plan has; drive it, too'
-        for name in overrides
+        for name in model.overrides
         if name not in driven
     ]
     if faults:

@@ -247,7 +247,7 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     (
         {"controllers__mfapc__horizon": 5},
         "controllers.mfapc.horizon: unknown key; there are: bounds, first_trials, label, note, search, "
-        "settings, sweep, tuned, type, variant_of, varied; if it is a setting of the controller, "
+        "seeds, settings, sweep, tuned, type, variant_of, varied; if it is a setting of the controller, "
         "write settings.horizon",
     ),
     (
