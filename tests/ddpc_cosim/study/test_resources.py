@@ -8,6 +8,7 @@ from resources import BY_DAY, HOURS, OUTDOORS, SUN, files_of_a_house, with_resou
 from studies import cases_in, run_file, write
 
 from ddpc_cosim import ConfigError, KnownDisturbance, Price, Product, SignalFromResource
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
 from fmu_plants import build_fmu
 from fmu_plants.building import MODEL
@@ -142,3 +143,20 @@ def test_python_says_the_same() -> None:
     price = Price(signal="p", price=signal, unit="EUR/kWh")
     with pytest.raises(ConfigError, match="needed: a plant in a study"):
         price.over("electricity", np.zeros(1))
+
+
+def test_a_csv_file_that_a_plant_of_equations_adds_is_a_table_too(tmp_path: Path) -> None:
+    """Prices that no equation reads lie among its further files, as text or as what returns it."""
+    (tmp_path / "house.py").write_text(
+        "from dataclasses import replace\n"
+        "from fmu_plants.building import MODEL as BUILDING\n"
+        'TEXT = "time,Price\\n0,0.25\\n3600,0.5\\n"\n'
+        'MODEL = replace(BUILDING, resources={"a.csv": TEXT, "b.csv": lambda: TEXT, "read.me": TEXT})\n',
+        encoding="utf-8",
+    )
+    tables = PlantSpec(f"{tmp_path / 'house.py'}:MODEL", "").tables()
+    assert tables.names == ("a.csv", "b.csv")
+    for name in tables.names:
+        times, prices = tables.table(name).column("Price")
+        assert times.tolist() == [0.0, 3600.0]
+        assert prices.tolist() == [0.25, 0.5]
