@@ -126,7 +126,7 @@ class ResourceFiles:
         try:
             with zipfile.ZipFile(self._path) as archive, archive.open(self._entries[name]) as file:
                 content = file.read(most + 1)
-        except (*DAMAGED, NotImplementedError, OSError) as error:
+        except (*DAMAGED, OSError) as error:
             raise DataError(f"{name}: cannot be read: {error}") from error
         if len(content) > most:
             raise _too_large(name, most)
