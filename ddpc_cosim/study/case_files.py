@@ -44,6 +44,8 @@ LEFT_FOLDER = "left"
 _MOST_LEFT, _MOST_LOOKED_AT, _DEEPEST_LEFT = 100, 20_000, 50
 DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
+OWN_CONTROL = "the plant's own control"
+"""What such a run is labelled where the plant's own control acts in it."""
 _LONGEST_RUN, _LONGEST_STATE = 1 << 26, 1 << 29
 # These may end otherwise next time: only a result that would come out the same is kept.
 _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
@@ -140,6 +142,11 @@ class CaseResult:
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_own_control(self) -> bool:
+        """Whether it is a run of doing nothing in which the plant controls itself."""
+        return self.controller == DOING_NOTHING and self.label == OWN_CONTROL
 
     def trace(self) -> Trace:
         """Read the samples of the run.

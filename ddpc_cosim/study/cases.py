@@ -37,7 +37,7 @@ from ddpc_cosim.signals.disturbances import KnownDisturbance
 from ddpc_cosim.signals.excitations import Excitation
 from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import Band, GaussianNoise, ParameterChange, Reference
-from ddpc_cosim.study.case_files import DOING_NOTHING
+from ddpc_cosim.study.case_files import DOING_NOTHING, OWN_CONTROL
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec, content_of_plant, stand_ins_of_file
 from ddpc_cosim.variables import FloatArray, Variable, names
@@ -345,7 +345,7 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     case = replace(
         first,
         controller=DOING_NOTHING,
-        label=DOING_NOTHING,
+        label=OWN_CONTROL if is_controlled else DOING_NOTHING,
         section=section,
         late="",
         bounds=first.shared_bounds,  # its own would be those of whichever controller comes first

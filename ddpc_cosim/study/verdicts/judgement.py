@@ -125,7 +125,9 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
     failure = _distance(case.tracking, sizes, unavoidable)
-    if not failure and completed and outputs:
+    # Where the plant controls itself, that is a competitor: to be worse than it is no failure.
+    is_idle = completed and not (resting and resting.is_own_control)
+    if not failure and is_idle and outputs:
         failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
     tasks = {name: sizes[name] * output.factor for name, output in outputs.items()}

@@ -139,7 +139,20 @@ def test_the_plants_own_control_competes_and_is_what_doing_nothing_means(tmp_pat
     assert all(math.isnan(value) for value in of_input.values())
     (nothing,) = [case for case in doing_nothing(cases_in(study)) if case.seed == 0]
     assert nothing.section["type"] == "plant"
+    assert results.resting[0].is_own_control
     results.report()
+
+
+def test_to_be_worse_than_the_plants_own_control_is_no_failure(tmp_path: Path) -> None:
+    """A proportional controller that is a little lazier than the room's own; one that does nothing fails."""
+    controllers = {"lazy": {"type": "pid", "settings": {"proportional": 300.0}}, "idle": "idle"}
+    results = run_file(write(tmp_path, room_study(controllers=controllers)))
+    lazy, idle = results.cases
+    (own,) = results.resting
+    assert not lazy.failed
+    assert idle.failure.endswith("its task away from its reference")
+    errors = [case.tracking[0].mean_abs_error for case in (lazy, own)]
+    assert errors[0] - errors[1] > 0.05 * lazy.tasks["reaTZon_y"]
 
 
 VERSIONS = ("1.0", "2.0", "3.0")
