@@ -20,9 +20,10 @@ basic characteristic of floor heating in EN 1264-2, made smooth within 0.1 K of 
 **Heat pump**: at the command :math:`u` it takes :math:`P = u P_{max}` and gives :math:`Q = COP(x) P` with
 :math:`COP = 6.81 - 0.121 x + 0.00063 x^2` for 15 K <= x <= 60 K from the air outdoors to the supply, the
 regression for air-source heat pumps of I. Staffell, D. Brett, N. Brandon, A. Hawkes, Energy & Environmental
-Science 5 (2012) 9291-9306, held at the ends of its range. The supply is warmer than the floor by :math:`R
-Q`, so x solves a quadratic equation. A command is the mean of an interval: below its least speed a unit
-cycles. Both give 8 kW at -10 degC, where the house needs 6.2 kW: what is left heats it up again.
+Science 5 (2012) 9291-9306, held at the ends of its range, smooth within 0.5 K of them. The supply is
+warmer than the floor by :math:`R Q`, so x solves a quadratic equation. A command is the mean of an interval:
+below its least speed a unit cycles. Both give 8 kW at -10 degC, where the house needs 6.2 kW: what is left
+heats it up again.
 
 **Control**: what EN 12098-1 has for controllers of water heating, every 5 min and for each zone. A heating
 curve over the temperature outdoors, moved by the room's deviation, is the setpoint of the floor (of the
@@ -69,7 +70,7 @@ HOURS_SHOWN = DisplayUnit("h", 1 / HOUR)
 GROUND = 10.0 + KELVIN  # K, the mean of a year outdoors
 
 COP = (6.81, -0.121, 0.00063)
-COP_RANGE = (15.0, 60.0)  # K
+COP_RANGE, COP_SMOOTH = (15.0, 60.0), 0.5  # K
 FLOOR_COEFFICIENT, FLOOR_EXPONENT = 8.92, 1.1  # W/m2, of K
 SMOOTH = 0.1  # K
 
@@ -155,10 +156,12 @@ def lift(floor: Any, outdoors: Any, power: Any, resistance: Any) -> Any:
 
 def heat_pump_heat(floor: Any, outdoors: Any, power: Any, resistance: Any) -> Any:
     """Return the heat of a heat pump, W."""
-    from sympy import Max, Min
+    from sympy import sqrt
 
     low, high = COP_RANGE
-    return power * cop(Min(Max(lift(floor, outdoors, power, resistance), low), high))
+    x = lift(floor, outdoors, power, resistance)
+    x = (x + low + sqrt((x - low) ** 2 + COP_SMOOTH**2)) / 2
+    return power * cop((x + high - sqrt((x - high) ** 2 + COP_SMOOTH**2)) / 2)
 
 
 IRRADIANCE: dict["Wall", str] = {"south": "HVerSou", "west": "HVerWes", "north": "HVerNor", "east": "HVerEas"}

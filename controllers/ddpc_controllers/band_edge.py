@@ -1,4 +1,4 @@
-"""Following an edge of the band by any tracking controller: the usual way to spend little, with a margin."""
+"""Keeping a margin to the band: by following an edge of it, the usual way to spend little, or within both."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -9,7 +9,7 @@ from ddpc_controllers.checks import per_signal
 from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import Action, FloatArray, Loop, Sample, Weight, setting
 
-Edge = Literal["lower", "upper"]
+Edge = Literal["lower", "upper", "both"]
 EDGES: tuple[str, ...] = get_args(Edge)
 
 
@@ -18,10 +18,16 @@ class BandEdge(SingleWrapper):
     """A controller that follows an edge of each band, drawn in by a margin, and is told no price.
 
     Where the band is narrower than the margin it follows the middle of the band. Outputs that are wanted at a
-    reference are controlled as ever.
+    reference are controlled as ever. With both edges the band stays one, drawn in, and prices are told: noise
+    and errors of model and forecast take up the margin first.
     """
 
-    edge: Edge = setting("lower", choices=EDGES, doc="the edge: of a room that is heated the lower one")
+    edge: Edge = setting(
+        "lower",
+        choices=EDGES,
+        doc="the edge that is followed: of a room that is heated the lower one; both: the band stays one, "
+        "drawn in at both edges, and prices are told",
+    )
     margin: Weight = setting(
         0.0, low=0.0, doc="how far within the band, in the outputs' units: a number, or one for each output"
     )
@@ -37,12 +43,16 @@ class BandEdge(SingleWrapper):
         outputs = [variable.name for variable in loop.outputs]
         self._is_band = np.array([name in loop.bands for name in outputs], dtype=bool)
         self._margin = per_signal("margin", self.margin, len(outputs))
-        self._start_inside(replace(loop, bands=(), charges=()))
+        told = loop if self.edge == "both" else replace(loop, bands=(), charges=())
+        self._start_inside(told)
 
     def step(self, sample: Sample) -> Action:
         """Return the controller's inputs for references at the edges."""
         if not self._is_band.any():
             return self._inner.step(sample)
+        if self.edge == "both":
+            drawn_in = {"band_now": self._drawn_in(sample.band_now), "band": self._drawn_in(sample.band)}
+            return self._inner.step(sample._replace(**drawn_in))
         now = self._line(sample.setpoint, sample.band_now)
         ahead = self._line(sample.reference, sample.band)
         return self._inner.step(
@@ -57,7 +67,10 @@ class BandEdge(SingleWrapper):
 
     def _line(self, reference: FloatArray, band: FloatArray) -> FloatArray:
         """Return references, shape (..., p): of a band its edge, drawn in, and at most its middle."""
-        lower, upper = band[..., 0], band[..., 1]
-        inside = np.minimum(self._margin, (upper - lower) / 2)
-        edge = lower + inside if self.edge == "lower" else upper - inside
+        edge = self._drawn_in(band)[..., 0 if self.edge == "lower" else 1]
         return np.where(self._is_band, edge, reference)
+
+    def _drawn_in(self, band: FloatArray) -> FloatArray:
+        """Return bands, shape (..., p, 2), narrower by the margin on both sides, at least a line."""
+        inside = np.minimum(self._margin, (band[..., 1] - band[..., 0]) / 2)
+        return band + np.stack([inside, -inside], axis=-1)

@@ -43,6 +43,21 @@ def sample() -> Sample:
     return Sample(0, 0.0, y, y, reference, y, band_now=now, band=band, price=np.ones((4, 1)))
 
 
+def test_with_both_edges_the_band_stays_one_and_prices_are_told() -> None:
+    controller = BandEdge(controller=Looks(), edge="both", margin=[0.5, 9.0])
+    controller.start(banded_loop())
+    controller.step(sample())
+    inside = controller._inner.controller
+    assert isinstance(inside, Looks)
+    assert (inside.loop.bands, len(inside.loop.charges)) == (banded_loop().bands, 1)
+    shown = inside.seen[0]
+    np.testing.assert_allclose(shown.band_now, [[0.5, 3.5], [7.0, 7.0]])
+    np.testing.assert_allclose(shown.band[0], [[0.5, 3.5], [7.0, 7.0]])
+    np.testing.assert_allclose(shown.band[1:, 0], [[1.1, 1.1], [1.1, 1.1]])
+    np.testing.assert_array_equal(shown.reference, sample().reference)
+    assert shown.price.shape == (4, 1)
+
+
 @pytest.mark.parametrize(
     ("edge", "margin", "line"),
     [

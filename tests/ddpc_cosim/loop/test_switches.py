@@ -144,15 +144,22 @@ def test_the_plants_own_control_competes_and_is_what_doing_nothing_means(tmp_pat
 
 
 def test_to_be_worse_than_the_plants_own_control_is_no_failure(tmp_path: Path) -> None:
-    """A proportional controller that is a little lazier than the room's own; one that does nothing fails."""
-    controllers = {"lazy": {"type": "pid", "settings": {"proportional": 300.0}}, "idle": "idle"}
-    results = run_file(write(tmp_path, room_study(controllers=controllers)))
-    lazy, idle = results.cases
+    """What ends a third of its task away where the own control ends at 1 %; what heats nothing fails."""
+    plant = {"name": f"{__name__}:ROOM", "inputs": ["oveHeat_u"], "outputs": ["reaTZon_y"]}
+    lazy = {"type": "pid", "settings": {"proportional": 1500.0}}
+    controllers = {"lazy": lazy, "idle": "idle"}
+    study = room_study(
+        plant=plant | {"parameters": {"gain": 5e4}},
+        controllers=controllers,
+        bounds={"oveHeat_u": {"max": 8000.0}},
+    )
+    results = run_file(write(tmp_path, study))
+    lazy_run, idle_run = results.cases
     (own,) = results.resting
-    assert not lazy.failed
-    assert idle.failure.endswith("its task away from its reference")
-    errors = [case.tracking[0].mean_abs_error for case in (lazy, own)]
-    assert errors[0] - errors[1] > 0.05 * lazy.tasks["reaTZon_y"]
+    assert not lazy_run.failed
+    assert idle_run.failure.endswith("its task away from its reference")
+    errors = [case.tracking[0].mean_abs_error for case in (lazy_run, own)]
+    assert errors[0] - errors[1] > 0.05 * lazy_run.tasks["reaTZon_y"]
 
 
 VERSIONS = ("1.0", "2.0", "3.0")
