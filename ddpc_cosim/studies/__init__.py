@@ -5,6 +5,7 @@ from pathlib import Path
 _FOLDER = Path(__file__).parent
 
 benchmark = _FOLDER / "benchmark.toml"
+buildings = _FOLDER / "buildings.toml"
 claims = _FOLDER / "claims.toml"
 direction_change = _FOLDER / "direction-change.toml"
 excitation = _FOLDER / "excitation.toml"

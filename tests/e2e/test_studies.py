@@ -21,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("studies")
 
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
-ELSEWHERE = ("benchmark", "forecast", "paper")  # have tests of their own
+ELSEWHERE = ("benchmark", "buildings", "forecast", "paper")  # have tests of their own
 LONG = ("mimo", "noise", "prices", "time-varying", "tuning", "unstable")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name

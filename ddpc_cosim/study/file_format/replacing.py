@@ -112,9 +112,12 @@ def not_said(tables: Table, said: Table) -> Iterator[Place]:
 
 
 def without_controllers(controllers: Collection[str], report: Table) -> Table:
-    """Return a report whose panels show none of these controllers, and of which none is the baseline."""
+    """Return a report without these controllers in its panels, as its baseline or as a reference point."""
     if any(name == report.get("baseline") for name in controllers):
         report = _without(report, ("baseline",))
+    points = dict(_items(report.get("reference_points"))).values()
+    if any(name in points for name in controllers):
+        report = _without(report, ("reference_points",))
     panels = report.get("panels")
     if not isinstance(panels, list):
         return report
@@ -136,9 +139,7 @@ def with_report(tables: Any, controllers: Collection[str]) -> Any:
     if not (isinstance(tables, dict) and isinstance(tables.get("report"), dict)):
         return tables
     report = without_controllers(controllers, _without(tables["report"], ("reproduction",)))
-    points = dict(_items(report.get("reference_points"))).values()
-    is_cut = any(name in points for name in controllers)
-    return tables | {"report": _without(report, ("reference_points",) if is_cut else ())}
+    return tables | {"report": report}
 
 
 def _items(table: Any) -> Any:

@@ -1,0 +1,104 @@
+"""The study of the house that controls itself says what its runs show, and its page can be followed."""
+
+import re
+import shlex
+from pathlib import Path
+from statistics import fmean
+
+import pytest
+
+from ddpc_cosim import CaseResult, Outcome, StudyResults, load_results
+from ddpc_cosim.study.verdicts.findings import findings_of
+from tests.conftest import Run
+from tests.studies import run_file
+
+from .recomputed import key_figures_of, verdict
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("weather")]
+
+ROOT = Path(__file__).parents[2]
+AREA = 180.0  # m2
+SOURCES = {f"OperativeZoneTemperature[{i}]": [f"reaTZon{i}_y"] for i in (1, 2)} | {
+    "ElectricPower": ["reaPHeaPum_y"]
+}
+MONEY, DISCOMFORT = "money [EUR]", "tdis_tot [K.h]"
+BOUGHT_AHEAD = ("*highly-dynamic*", "forecasts*unknown*", "forecasts*measured*", "forecasts*perfect*")
+DAYS = ("peak-heat-day", "typical-heat-day")
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StudyResults]:
+    """The price of the market, and three levels of knowing, without the slow reference point."""
+    folder = tmp_path_factory.mktemp("buildings")
+    text = 'extends = "buildings"\ncontrollers.nmpc = false\n'
+    (folder / "house.toml").write_text(text, encoding="utf-8")
+    results = run_file(folder / "house.toml", jobs=2, seeds=[0, 1], only=BOUGHT_AHEAD)
+    return {problem.study.name: problem for problem in results.problems()}
+
+
+def mean_of(results: StudyResults, controller: str, metric: str, scenario: str = "highly-dynamic") -> float:
+    return fmean(
+        case.metrics[metric]
+        for case in results.cases
+        if (case.controller, case.scenario) == (controller, scenario)
+    )
+
+
+def test_economic_controllers_pay_less_than_the_own_control_at_no_more_discomfort(
+    study: dict[str, StudyResults],
+) -> None:
+    for day in DAYS:
+        for controller in ("koopman-mpc", "mpc"):
+            for metric in (MONEY, DISCOMFORT):
+                assert mean_of(study[day], controller, metric) < mean_of(study[day], "plant", metric)
+        findings = findings_of(study[day].study, study[day].cases)
+        assert set(findings.leaders) <= {"koopman-mpc", "mpc"}
+
+
+def test_nobody_fails_by_being_worse_than_the_own_control(study: dict[str, StudyResults]) -> None:
+    for results in study.values():
+        for case in results.cases:
+            assert case.outcome is Outcome.COMPLETED
+            assert not case.failure.startswith("worse")
+            assert case.failed == verdict(case.folder, 1).failed
+
+
+def test_key_figures_are_those_of_the_papers_formulas(study: dict[str, StudyResults]) -> None:
+    for results in study.values():
+        for case in results.cases:
+            expected = key_figures_of(case.folder, AREA, SOURCES)
+            for name, value in expected.items():
+                (key,) = [key for key in case.metrics if key.startswith(f"{name} [")]
+                assert case.metrics[key] == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True)
+
+
+def test_no_room_leaves_what_a_house_may_have(study: dict[str, StudyResults]) -> None:
+    for results in study.values():
+        for case in results.cases:
+            celsius = case.trace().y - 273.15
+            assert 14.0 < celsius.min() < celsius.max() < 31.0
+
+
+@pytest.fixture
+def followed(tmp_path: Path, run_program: Run) -> list[CaseResult]:
+    """What the commands of the page come to, in an empty folder, of the FMU under a stranger's name."""
+    page = (ROOT / "docs" / "a-building-its-weather-and-its-price.md").read_text(encoding="utf-8")
+    commands = re.search(r"```sh\n(.*?)```", page, re.DOTALL)
+    assert commands
+    for line in commands[1].replace("two_zone_house.fmu", "stranger.fmu").splitlines():
+        _, *arguments = shlex.split(line)
+        ended = run_program(*arguments)
+        assert ended.returncode == 0, ended.stderr
+        if arguments[0] == "export":
+            (tmp_path / "two_zone_house.fmu").rename(tmp_path / "stranger.fmu")
+    return list(load_results(tmp_path / "runs" / "house").cases)
+
+
+def test_the_pages_commands_lead_to_a_study_whose_best_keeps_the_band(followed: list[CaseResult]) -> None:
+    violations = [
+        fmean(tracking.mean_abs_error / (tracking.width or 0.0) for tracking in case.tracking)
+        for case in followed
+        if case.controller != "plant"
+    ]
+    assert len(violations) >= 3
+    assert min(violations) < 0.05
