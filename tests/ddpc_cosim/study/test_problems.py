@@ -216,7 +216,9 @@ def test_a_problem_without_controllers_and_a_shared_fault_name_the_problem(tmp_p
     assert fault.endswith("(problem pendulum)")
 
 
-def test_reference_points_are_two_controllers_of_every_problem_that_leaves_out_neither(tmp_path: Path) -> None:
+def test_reference_points_are_two_controllers_of_every_problem_that_leaves_out_neither(
+    tmp_path: Path,
+) -> None:
     points = "[report]\nreference_points = {{ zero = {!r}, full = {!r} }}\n"
     whole = read(tmp_path, TWO.replace("problems.pendulum = false", "") + points.format("pid", "mfapc")).whole
     assert all(study.report.reference_points.zero == "pid" for study in whole.problems.values())  # type: ignore[union-attr]
@@ -225,7 +227,9 @@ def test_reference_points_are_two_controllers_of_every_problem_that_leaves_out_n
     assert without["pendulum"].report.reference_points is None
     assert without["oscillator"].report.reference_points is not None
     (fault,) = faults(tmp_path, TWO + points.format("pid", "mfap"))
-    assert fault.endswith('reference_points.full: no controller "mfap"; did you mean "mfapc"? (problem oscillator)')
+    assert fault.endswith(
+        'reference_points.full: no controller "mfap"; did you mean "mfapc"? (problem oscillator)'
+    )
     (twice,) = faults(tmp_path, TWO + points.format("mfapc", "mfapc"))
     assert twice.endswith('reference_points.full: "mfapc" is also at 0 %; needed: two different controllers')
 
