@@ -51,8 +51,8 @@ class BandEdge(SingleWrapper):
         if not self._is_band.any():
             return self._inner.step(sample)
         if self.edge == "both":
-            drawn_in = {"band_now": self._drawn_in(sample.band_now), "band": self._drawn_in(sample.band)}
-            return self._inner.step(sample._replace(**drawn_in))
+            now, ahead = self._drawn_in(sample.band_now), self._drawn_in(sample.band)
+            return self._inner.step(sample._replace(band_now=now, band=ahead))
         now = self._line(sample.setpoint, sample.band_now)
         ahead = self._line(sample.reference, sample.band)
         return self._inner.step(
@@ -73,4 +73,4 @@ class BandEdge(SingleWrapper):
     def _drawn_in(self, band: FloatArray) -> FloatArray:
         """Return bands, shape (..., p, 2), narrower by the margin on both sides, at least a line."""
         inside = np.minimum(self._margin, (band[..., 1] - band[..., 0]) / 2)
-        return band + np.stack([inside, -inside], axis=-1)
+        return np.stack([band[..., 0] + inside, band[..., 1] - inside], axis=-1)

@@ -205,8 +205,9 @@ RANKED = "mean_abs_error"
 def problems_frame(rankings: Iterable[Standings]) -> "pd.DataFrame | None":
     """Return the runs of several problems by what each ranks by; None of fewer than two with any.
 
-    Of several outputs each is a condition of its own. Of money, which may be earned too, and of fronts it is
-    the rank in each scenario that counts.
+    A problem of a single controller ranks nobody, and has no runs here. Of several outputs each is a
+    condition of its own. Of money, which may be earned too, and of fronts it is the rank in each scenario
+    that counts.
     """
     import pandas as pd  # with one problem it is not needed
 
@@ -214,6 +215,7 @@ def problems_frame(rankings: Iterable[Standings]) -> "pd.DataFrame | None":
         (problem, key, controller, scenario, seed, value, math.isnan(value))
         for problem, ranking in enumerate(rankings)
         for key, by_controller in _ranked_runs(ranking)
+        if len(by_controller) > 1  # who is alone is compared with nobody
         for controller, values in by_controller.items()
         for (scenario, seed), value in values.items()
     ]
