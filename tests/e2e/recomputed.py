@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import tomllib
 from functools import lru_cache
 from itertools import pairwise
@@ -187,6 +188,7 @@ def verdict(folder: Path, preview: int) -> Verdict:
     resting, rest = _judged_by(resting_folder(folder))
     rests = resting["outcome"] == "completed"
     study = tomllib.loads((folder.parents[1] / "study.toml").read_text(encoding="utf-8"))
+    study = study.get("problems", {}).get(run["problem"], study)
     scenario = study["scenarios"][run["scenario"]]
     far, left, worse, alone = False, list[float](), list[float](), list[float]()
     for i, output in enumerate(run["outputs"]):
@@ -219,7 +221,7 @@ def verdict(folder: Path, preview: int) -> Verdict:
             more = mean_magnitude(s, sum(end.rows for end in ends)) + half
             worse.append((mean_error(r, y) - mean_error(r_at_rest, nothing) - more) / size)
             alone += worse[-1:] if moves else []
-    is_idle = rests and "plant" not in resting["knowledge"]
+    is_idle = rests and resting["label"] == "doing-nothing"  # and not the plant's own control, a competitor
     failed = far or (is_idle and max([fmean(worse), *alone]) > 0.01)
     return Verdict(failed, max(left) <= 5.0 if left else None)
 
@@ -337,15 +339,15 @@ def _judged_by(folder: Path) -> tuple[dict[str, Any], dict[str, tuple[list[float
 def resting_folder(folder: Path) -> Path:
     """Return the folder of the run with inputs at rest of the same scenario and seed."""
     run, _ = read_case(folder)
-    return _resting(folder.parent)[run["scenario"], run["seed"]]
+    return _resting(folder.parent)[run["problem"], run["scenario"], run["seed"]]
 
 
 @lru_cache(maxsize=4)
-def _resting(cases: Path) -> dict[tuple[str, int], Path]:
+def _resting(cases: Path) -> dict[tuple[str, str, int], Path]:
     folders = {}
     for folder in cases.glob("*doing-nothing_*"):
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-        folders[run["scenario"], run["seed"]] = folder
+        folders[run["problem"], run["scenario"], run["seed"]] = folder
     return folders
 
 
@@ -357,10 +359,14 @@ def middle(values: list[float]) -> float:
     return NAN if not values or any(map(math.isnan, values)) else median(values)
 
 
+TEMPERATURES = ("AirZoneTemperature", "OperativeZoneTemperature")
+
+
 def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> dict[str, float]:
     """Return BOPTEST's key figures of a completed case, by the formulas of its paper (section "KPIs").
 
-    Signals that are inputs are held, so that their integral is a sum; the others are lines.
+    Signals that are inputs are held, so that their integral is a sum; the others are lines. Of a source
+    that is absent there is no figure.
     """
     run, columns = read_case(folder)
     h, driven = run["sampling_time"], {variable["name"] for variable in run["inputs"]}
@@ -409,15 +415,20 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
 
     steps = [seconds for seconds in columns["solve_time [s]"] if math.isfinite(seconds)]
     moves = [abs(np.diff(column("", name=name)[:-1])).sum() for name in sorted(driven)]
-    return {
-        "tdis_tot [K.h]": per_zone(("AirZoneTemperature", "OperativeZoneTemperature"), below=True),
-        "idis_tot [ppm.h]": per_zone(("CO2Concentration",), below=False),
+    figures = {
         "ener_tot [kWh/m2]": sum(integral(name, in_watts(name)) for name in powers) / 3.6e6 / area,
         f"cost_tot [{run['charges'][0]['unit']}/m2]": per_amount("price", list(used)) / area,
         "emis_tot [kg/m2]": per_amount("emission", powers) / area,
-        "pele_tot [kW/m2]": peak("ElectricPower"),
-        "pgas_tot [kW/m2]": peak("GasPower"),
-        "pdih_tot [kW/m2]": peak("DistrictHeatingPower"),
         "time_rat [1]": fmean(steps) / h,
         "atvl_tot [1]": fmean(moves),
     }
+    if any(source.startswith(TEMPERATURES) for source in sources):
+        figures["tdis_tot [K.h]"] = per_zone(TEMPERATURES, below=True)
+    if any(source.startswith("CO2Concentration") for source in sources):
+        figures["idis_tot [ppm.h]"] = per_zone(("CO2Concentration",), below=False)
+    peaks = {"pele_tot": "ElectricPower", "pgas_tot": "GasPower", "pdih_tot": "DistrictHeatingPower"}
+    return figures | {f"{name} [kW/m2]": peak(source) for name, source in peaks.items() if source in sources}
+
+
+def key_figures_in(metrics: dict[str, float]) -> dict[str, float]:
+    return {key: value for key, value in metrics.items() if re.match(r"\w+_(tot|rat) ", key)}

@@ -1,7 +1,6 @@
 """Key figures of a building as BOPTEST defines them, in studies of an FMU that measures what it uses."""
 
 import csv
-import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +30,7 @@ from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import write_report
 
-from .recomputed import key_figures_of
+from .recomputed import key_figures_in, key_figures_of
 
 OFFICE = '''
 """The building with meters: a heat pump with its pump, a boiler, district heating, tap water and CO2."""
@@ -129,15 +128,11 @@ def results(folder: Path) -> StudyResults:
     return Study(office(folder), CONTROLLERS).run(folder / "out", progress=False)
 
 
-def figures_in(metrics: dict[str, float]) -> dict[str, float]:
-    return {key: value for key, value in metrics.items() if re.match(r"\w+_(tot|rat) ", key)}
-
-
 def test_key_figures_are_those_of_the_paper_s_formulas(results: StudyResults) -> None:
     assert len(results.cases) == 4
     for case in results.cases:
         expected = key_figures_of(case.folder, AREA, SOURCES)
-        assert figures_in(case.metrics) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        assert key_figures_in(case.metrics) == pytest.approx(expected, rel=1e-9, abs=1e-12)
         assert case.controller == "idle" or all(value > 0 for value in expected.values()), expected
     cost = {case.scenario: case.metrics["cost_tot [EUR/m2]"] for case in results.cases}
     assert cost["tariff"] != cost["constant"]
@@ -242,7 +237,7 @@ def test_cases_are_run_again_only_where_something_has_to_be_kept_besides(folder:
     Study(without, CONTROLLERS).run(folder / "again", progress=False)
     again = Study(asked, CONTROLLERS).run(folder / "again", progress=False)
     for case in again.cases:
-        figures = figures_in(case.metrics)
+        figures = key_figures_in(case.metrics)
         assert figures["ener_tot [kWh/m2]"] > 0
         assert "idis_tot [ppm.h]" not in figures
         twice = Study(replace(asked, key_figures={**table, "area": 2 * AREA}), CONTROLLERS)
