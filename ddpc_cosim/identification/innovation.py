@@ -1,0 +1,208 @@
+"""A plant's model in innovation form: what it does on its inputs, and the noise that the data leave.
+
+    x+ = A x + B (g(u) - u_0) + E (d - d_0) + K eps,    y = h(y_0 + C x) + eps,    eps ~ N(0, covariance)
+
+with u the inputs, d the known disturbances, both held over a sample, and static g and h of each signal, none
+where the model is linear (L. Ljung, System Identification, 2nd ed., section 4.3).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddpc_cosim.controller import Recording
+from ddpc_cosim.variables import FloatArray
+
+_LONGEST_LOOK = 200
+"""Samples from which the state at the beginning of a piece is found."""
+_NEGLIGIBLE = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticMap:
+    """A nonlinearity without memory of each of several signals: lines between points, and beyond them.
+
+    Parameters
+    ----------
+    points, values : tuple of array, shape (n,)
+        Of each signal what it maps and to what, the points rising; n is 2 or more.
+    """
+
+    points: tuple[FloatArray, ...]
+    values: tuple[FloatArray, ...]
+
+    def __call__(self, signals: FloatArray) -> FloatArray:
+        """Return signals mapped, shape (..., signals)."""
+        mapped = np.empty_like(signals)
+        for i, (points, values) in enumerate(zip(self.points, self.values, strict=True)):
+            left = np.clip(np.searchsorted(points, signals[..., i], side="right") - 1, 0, len(points) - 2)
+            slope = np.diff(values)[left] / np.diff(points)[left]
+            mapped[..., i] = values[left] + slope * (signals[..., i] - points[left])
+        return mapped
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InnovationModel:
+    """A sampled model with its noise.
+
+    Parameters
+    ----------
+    a, b, e, k, c : array, shapes (n, n), (n, m), (n, n_d), (n, p), (p, n)
+        The matrices.
+    u_0, y_0, d_0 : array, shapes (m,), (p,), (n_d,)
+        Where it rests at x = 0.
+    covariance : array, shape (p, p)
+        Of the innovations eps.
+    sampling_time : float
+        Time between samples [s].
+    method : str
+        How it was found, in words: ``"arx"``.
+    input_map, output_map : StaticMap, optional
+        The nonlinearities g and h; default: there are none.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    e: FloatArray
+    k: FloatArray
+    c: FloatArray
+    u_0: FloatArray
+    y_0: FloatArray
+    d_0: FloatArray
+    covariance: FloatArray
+    sampling_time: float
+    method: str
+    input_map: StaticMap | None = None
+    output_map: StaticMap | None = None
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return len(self.a)
+
+    def driven(self, u: FloatArray, d: FloatArray) -> FloatArray:
+        """Return what inputs and disturbances, shapes (..., m) and (..., n_d), add to the next state."""
+        mapped = u if self.input_map is None else self.input_map(u)
+        return (mapped - self.u_0) @ self.b.T + (d - self.d_0) @ self.e.T
+
+    def output(self, x: FloatArray) -> FloatArray:
+        """Return the outputs without noise, shape (..., p), in states of shape (..., n)."""
+        y = self.y_0 + x @ self.c.T
+        return y if self.output_map is None else self.output_map(y)
+
+    def rest(self, u: FloatArray, d: FloatArray) -> FloatArray:
+        """Return the state, shape (n,), in which it rests, or nearly does if it integrates, at inputs."""
+        x, *_ = np.linalg.lstsq(np.eye(self.order) - self.a, self.driven(u, d), rcond=_NEGLIGIBLE)
+        return np.asarray(x)
+
+    def simulate(
+        self,
+        u: FloatArray,
+        d: FloatArray | None = None,
+        noise: FloatArray | None = None,
+        x: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the outputs over a course of the inputs.
+
+        Parameters
+        ----------
+        u, d : array, shapes (T, m) and (T, n_d)
+            Inputs and disturbances; row i acts from sample i to the next.
+        noise : array, shape (T, p), optional
+            The innovations; default: none.
+        x : array, shape (n,), optional
+            The state at the first sample; default: it rests at the first inputs.
+
+        Returns
+        -------
+        y : array, shape (T, p)
+            Outputs at the samples.
+        """
+        d = np.zeros((len(u), 0)) if d is None else d
+        driven = self.driven(u, d)
+        if noise is not None:
+            driven = driven + noise @ self.k.T
+        state = self.rest(u[0], d[0]) if x is None else x
+        states = np.empty((len(u), self.order))
+        with np.errstate(over="ignore", invalid="ignore"):  # a model may be unstable: then it is far off
+            for i, change in enumerate(driven):
+                states[i] = state
+                state = self.a @ state + change
+        y = self.output(states)
+        return y if noise is None else y + noise
+
+    def predict(self, recording: Recording, steps: int) -> FloatArray:
+        """Return the outputs predicted from what was measured so many samples before.
+
+        Parameters
+        ----------
+        recording : Recording
+            The data, at the model's sampling time.
+        steps : int
+            How many samples ahead: 1 or more. Row i rests on the outputs up to row ``i - steps``.
+
+        Returns
+        -------
+        y : array, shape (T, p)
+            NaN in the first ``steps - 1`` rows of every piece, of which nothing that is so old is known.
+        """
+        predicted = np.full(recording.y.shape, np.nan)
+        for rows, piece in _pieces(recording):
+            if len(piece) < steps:
+                continue
+            driven, states = self.driven(piece.u, piece.d), self.observed(piece)
+            count = len(piece) - steps + 1
+            states = states[:count]
+            for i in range(steps - 1):
+                states = states @ self.a.T + driven[i : i + count]
+            predicted[rows][steps - 1 :] = self.output(states)
+        return predicted
+
+    def one_step_errors(self, recording: Recording) -> FloatArray:
+        """Return what the outputs are beyond those predicted one sample ahead, shape (T, p)."""
+        return recording.y - self.predict(recording, 1)
+
+    def observed(self, piece: Recording) -> FloatArray:
+        """Return the states at the samples of one piece, shape (T, n), each from the outputs before it."""
+        return self._observed(piece, self.first_state(piece))[0]
+
+    def last_state(self, piece: Recording) -> FloatArray:
+        """Return the state one sample after the last of a piece, shape (n,)."""
+        return self._observed(piece, self.first_state(piece))[1]
+
+    def first_state(self, piece: Recording) -> FloatArray:
+        """Return the state at the first sample, shape (n,), that explains the samples after it best."""
+        head = rows_of(piece, slice(_LONGEST_LOOK))
+        start = self.rest(head.u[0], head.d[0])
+
+        def errors(x: FloatArray) -> FloatArray:
+            return (head.y - self.output(self._observed(head, x)[0])).ravel()
+
+        left = errors(start)
+        size = 1e-3 if self.output_map else 1.0  # errors of a linear model are affine in the state
+        units = np.eye(self.order)
+        changes = np.stack([(errors(start + size * unit) - left) / size for unit in units], axis=1)
+        step, *_ = np.linalg.lstsq(changes, -left, rcond=_NEGLIGIBLE)
+        return start + step
+
+    def _observed(self, piece: Recording, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states at the samples, shape (T, n), and that after them."""
+        driven = self.driven(piece.u, piece.d)
+        states = np.empty((len(piece), self.order))
+        for i, change in enumerate(driven):
+            states[i] = state
+            state = self.a @ state + change + self.k @ (piece.y[i] - self.output(state))
+        return states, state
+
+
+def rows_of(piece: Recording, rows: slice) -> Recording:
+    """Return some rows of one piece of a recording."""
+    return Recording(piece.u[rows], piece.y[rows], piece.measured[rows], piece.sampling_time, d=piece.d[rows])
+
+
+def _pieces(recording: Recording) -> Iterator[tuple[slice, Recording]]:
+    first = 0
+    for piece in recording.pieces:
+        yield slice(first, first + len(piece)), piece
+        first += len(piece)
