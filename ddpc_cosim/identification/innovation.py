@@ -91,6 +91,10 @@ class InnovationModel:
         y = self.y_0 + x @ self.c.T
         return y if self.output_map is None else self.output_map(y)
 
+    def next_state(self, x: FloatArray, u: FloatArray, d: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return the state one sample later, shape (n,), with the innovations, shape (p,), of this one."""
+        return self.a @ x + self.driven(u, d) + self.k @ noise
+
     def rest(self, u: FloatArray, d: FloatArray) -> FloatArray:
         """Return the state, shape (n,), in which it rests, or nearly does if it integrates, at inputs."""
         x, *_ = np.linalg.lstsq(np.eye(self.order) - self.a, self.driven(u, d), rcond=_NEGLIGIBLE)

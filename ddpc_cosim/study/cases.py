@@ -562,7 +562,8 @@ class _OnlyStarted(Controller):
 
 def _open(case: Case) -> Plant:
     read = (*names(case.outputs), *names(case.measurements), *names(case.read))
-    return case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
+    signals = names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read))
+    return case.plant.open(*signals, case.seed, records=case.excitation is not None)
 
 
 def _trace(case: Case, store: RowStore | None) -> Trace:
@@ -638,7 +639,7 @@ def _before_time_0(case: Case, trace: Trace) -> Iterator[str]:
     if trace.recorded_samples and case.recording_start is not None:
         begins["experiment"] = case.recording_start
     for what, begin in begins.items():
-        if begin < 0.0 <= case.start_time and not case.plant.name:
+        if begin < 0.0 <= case.start_time and not (case.plant.name or case.plant.identified):
             begun = f"the {what} began at t = {shown(begin)}, before 0"
             remedy = f"set loop.start_time to {shown(case.start_time - begin)} or later"
             yield f"{begun}, where the tables of an FMU, such as weather, commonly begin; {remedy}"

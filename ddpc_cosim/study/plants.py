@@ -18,6 +18,7 @@ from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, DataError, FMUImportError
 from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.files.time_tables import TimeTable, read_time_table
+from ddpc_cosim.identification.specification import IdentifiedSpec
 from ddpc_cosim.loop.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -84,6 +85,8 @@ class PlantSpec:
         :class:`FMUPlant`.
     library_path : tuple of str
         Libraries that FMUs need, and folders of such; once it is :meth:`built`, those that are loaded.
+    identified : IdentifiedSpec or None
+        The logs that a plant is identified from, which has no name and is not an FMU.
     """
 
     name: str
@@ -99,6 +102,7 @@ class PlantSpec:
     coupled: CoupledSpec | None = None
     isolation: Mapping[str, Any] = field(default_factory=dict)
     library_path: tuple[str, ...] = ()
+    identified: IdentifiedSpec | None = None
 
     @classmethod
     def of(cls, section: "PlantSection", folder: Path) -> Self:
@@ -125,6 +129,7 @@ class PlantSpec:
             start=section.start,
             coupled=_coupled(section) if section.ssp or section.parts else None,
             library_path=tuple(section.library_path) if section.fmu else (),
+            identified=_identified(section, folder) if section.identified else None,
         )
         # The project's own C code is trusted; what a supplied FMU does is not known.
         isolated = spec.is_supplied if section.isolated == "auto" else section.isolated
@@ -143,11 +148,12 @@ class PlantSpec:
 
     def _checked(self) -> Self:
         """Return the plant if its plug-in can be one."""
-        plugin = None if self.fmu or self.coupled else self._plugin()
+        plugin = None if self.fmu or self.coupled or self.identified else self._plugin()
         if plugin is not None and not (_is_model(plugin) or _is_plant_class(plugin)):
             raise ConfigError(f'plant "{self.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
         if (self.isolated or self.isolation) and not (self.is_fmu or self.coupled):
-            raise ConfigError(f'plant "{self.name}" is a Python class; only FMUs can be isolated')
+            what = "is identified from data" if self.identified else "is a Python class"
+            raise ConfigError(f'plant "{self.label}" {what}; only FMUs can be isolated')
         if faults := library_path_faults(self.library_path):
             raise ConfigError(faults)
         return self
@@ -155,7 +161,8 @@ class PlantSpec:
     @property
     def is_fmu(self) -> bool:
         """Whether the plant runs as an FMU, supplied or built from equations."""
-        return bool(self.fmu) or (self.coupled is None and _is_model(self._plugin()))
+        is_python = self.coupled is None and self.identified is None
+        return bool(self.fmu) or (is_python and _is_model(self._plugin()))
 
     @property
     def is_supplied(self) -> bool:
@@ -174,7 +181,7 @@ class PlantSpec:
     def plugins(self) -> tuple[str, ...]:
         """Names of the plug-ins that it is made of, FMUs excepted."""
         if self.coupled is None:
-            return () if self.fmu else (self.name,)
+            return (self.name,) if self.name else ()
         return tuple(name for part in self.coupled.parts.values() for name in part.plugins)
 
     @property
@@ -183,6 +190,7 @@ class PlantSpec:
         return (
             shown_name(self.name)
             or Path(self.fmu).name
+            or (self.identified.label if self.identified else "")
             or ", ".join(self.coupled.parts if self.coupled else ())
         )
 
@@ -215,8 +223,8 @@ class PlantSpec:
         CosimError
             The plant cannot be read.
         """
-        if self.coupled:
-            return self.coupled.variables()
+        if of_parts := self.coupled or self.identified:
+            return of_parts.variables()
         if self.fmu:
             from ddpc_cosim.fmu.resources import ResourceFiles, key_figure_tags
 
@@ -251,8 +259,7 @@ class PlantSpec:
 
             files = ResourceFiles(Path(self.fmu))
             return PlantTables({name: partial(files.table, name) for name in files.tables})
-        plugin = self._plugin()
-        if not _is_model(plugin):
+        if self.identified or not _is_model(plugin := self._plugin()):
             return PlantTables({})
         texts = {name: text for name, text in plugin.resources.items() if name.lower().endswith(".csv")}
         return PlantTables(
@@ -265,6 +272,9 @@ class PlantSpec:
         if self.coupled:
             coupled = self.coupled.built().starting_at(self.start)
             return replace(self, coupled=coupled, content=coupled.content + self._shown())
+        if self.identified:
+            identified = self.identified.built()
+            return replace(self, identified=identified, content=identified.content + self._shown())
         if not self.is_fmu:
             plugin = self._plugin()
             named = f"{plugin.__module__}:{plugin.__qualname__}"
@@ -308,14 +318,27 @@ class PlantSpec:
         switches = [f" {name}|{switch}" for name, switch in sorted(self.switches.items())]
         return "".join(units + nominal + start + switches)
 
-    def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
-        """Open the plant with the chosen inputs and outputs."""
+    def open(
+        self, inputs: Sequence[str], outputs: Sequence[str], seed: int = 0, *, records: bool = False
+    ) -> Plant:
+        """Open the plant with the chosen inputs and outputs.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of str
+            Which take part.
+        seed : int
+            That of the case, which says which of its models a plant is that is identified from data.
+        records : bool
+            Whether an experiment comes before the run.
+        """
         if self.coupled:
             plant = self.coupled.open(inputs, outputs)
         elif self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
-            plant = PythonPlant(self._plugin(), inputs, self.start)
+            model = self.identified and partial(self.identified.open, self.start, seed, records=records)
+            plant = PythonPlant(model or self._plugin(), inputs, self.start)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = with_nominal(plant.inputs, self.nominal)
@@ -381,6 +404,15 @@ def _table_of_model(table: "InputTable") -> TimeTable:
 def _table_in_text(name: str, text: str | Callable[[], str]) -> TimeTable:
     """Return a further file of a plant of equations as a table over time; DataError: it is none."""
     return read_time_table(name, (text() if callable(text) else text).encode())
+
+
+def _identified(section: "PlantSection", folder: Path) -> IdentifiedSpec:
+    """Return the logs of a plant section, and which of their signals are what."""
+    identification = section.identified
+    assert identification is not None
+    files = [str(in_folder(folder, path)) for path in identification.file]
+    outputs = tuple(dict.fromkeys((*section.outputs, *section.measurements)))
+    return IdentifiedSpec(replace(identification, file=files), tuple(section.inputs), outputs)
 
 
 def _coupled(section: "PlantSection") -> CoupledSpec:

@@ -15,6 +15,8 @@ from ddpc_cosim.description import PlantDescription, switch_faults
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.files.csv_files import forget_cells
 from ddpc_cosim.files.durations import in_words
+from ddpc_cosim.identification.plant import sampling_fault
+from ddpc_cosim.identification.specification import IdentifiedSpec
 from ddpc_cosim.loop.outlook import Limit
 from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.loop.safe_calls import CallsInTime, recording_length
@@ -352,6 +354,7 @@ class _Resolution:
         study, recording = self.study, self.study.recording
         plant: dict[str, Any] = {
             "fmu": self.plant.fmu,
+            "identified": self.plant.identified and self.plant.identified.identification,
             "inputs": list(self.inputs.names),
             "outputs": list(self.outputs.names),
             "measurements": list(self.measurements.names),
@@ -452,7 +455,7 @@ class _Resolution:
     def _plant(self, folder: Path) -> tuple[PlantSpec, PlantDescription] | None:
         """Return the plant and its variables; None if there is none to check the study against."""
         section = self.study.plant
-        what = ("name", "fmu", "ssp", "parts", "connections", "coupling")
+        what = ("name", "fmu", "ssp", "parts", "connections", "coupling", "identified")
         doubtful = any(self.errors.in_doubt((*_PLANT, key)) for key in what)
         is_wrong = any(place[:1] == _PLANT and place[1] in what for place in self.errors.found if place[1:])
         if doubtful or is_wrong or _PLANT in self.errors.found:
@@ -474,10 +477,14 @@ class _Resolution:
         for i, part in enumerate(section.parts):
             if fault.startswith(f'part "{part.name}"'):
                 return "parts", i
-        return (next((key for key in ("fmu", "ssp", "parts") if getattr(section, key)), "name"),)
+        return (
+            next((key for key in ("fmu", "ssp", "parts", "identified") if getattr(section, key)), "name"),
+        )
 
     def _check_plant(self) -> None:
         section, errors = self.study.plant, self.errors
+        if self.plant.identified:
+            self._check_sampling(self.plant.identified)
         known = (*self.variables.inputs, *self.variables.outputs)
         for key in ("display_units", "nominal"):
             errors.require_known((*_PLANT, key), "input or output", getattr(section, key), known)
@@ -492,8 +499,16 @@ class _Resolution:
         for controller in self.controllers if not self.plant.is_fmu else ():
             if PLANT in files_of(type(controller.controller), controller.settings):
                 kind = "consists of parts" if self.plant.coupled else "is a Python class"
+                kind = "is identified from data" if self.plant.identified else kind
                 what = f'"{PLANT}" stands for the FMU of the plant, which {kind}'
                 errors.add(controller.place, what)
+
+    @independent
+    def _check_sampling(self, identified: IdentifiedSpec) -> None:
+        """Check that the loop can be sampled so with the models of a plant."""
+        own = identified.logged().recording.sampling_time
+        if fault := sampling_fault(self.study.loop.sampling_time, own):
+            self.errors.add(("loop", "sampling_time"), fault, (*_PLANT, "identified"))
 
     @independent
     def _check_switches(self) -> None:

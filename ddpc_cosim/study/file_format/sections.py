@@ -29,6 +29,7 @@ from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.files.csv_files import TIME_TOLERANCE
 from ddpc_cosim.files.durations import MOMENT_SCHEMA, in_words, moment_of
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.identification.identification import Identification, identification_table
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.loop.setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.metrics import Ranking
@@ -206,13 +207,16 @@ class CouplingSection(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantSection(Section):
-    """Which plant, and which of its variables take part; one of ``name``, ``fmu``, ``ssp`` and ``parts``."""
+    """Which plant: ``name``, ``fmu``, ``ssp``, ``parts`` or ``identified``; and its variables that take part."""
 
     name: str = setting(
         "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
     )
     fmu: str = setting("", doc="path of an FMU, relative to the study file", file=True)
     ssp: str = setting("", doc="path of an SSP archive, relative to the study file", file=True)
+    identified: Annotated[
+        Identification | None, Prepared(identification_table, {"type": ["string", "array"]})
+    ] = setting(None, doc="logs that the plant is identified from: a path, several, or with settings")
     parts: list[PartSection] = setting([], doc="the parts of a coupled plant")
     connections: list[Connection] = setting([], doc="what the parts exchange")
     coupling: CouplingSection | None = setting(None, doc="how the parts are coupled")
@@ -254,11 +258,11 @@ class PlantSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the choice of the plant."""
-        given = [key for key in ("name", "fmu", "ssp") if getattr(self, key)]
+        given = [key for key in ("name", "fmu", "ssp", "identified") if getattr(self, key)]
         if self.parts and given != ["ssp"]:
             given.append("parts")
         if len(given) != 1:
-            yield "", "needs exactly one of the keys name, fmu, ssp and parts"
+            yield "", "needs exactly one of the keys name, fmu, ssp, parts and identified"
         is_coupled = bool(self.parts or self.ssp)
         if self.connections and (self.ssp or not self.parts):
             yield "connections", "must not be given: the SSP has them" if self.ssp else "needs parts"
@@ -284,6 +288,7 @@ class PlantSection(Section):
         return (
             shown_name(self.name)
             or Path(self.fmu or self.ssp).name
+            or ", ".join(Path(path).name for path in (self.identified.file if self.identified else ()))
             or " + ".join(part.name for part in self.parts)
         )
 

@@ -1,0 +1,187 @@
+"""A plant identified from data as a study has it: what it is, before and after its models are found."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from ddpc_cosim.codec import read, write
+from ddpc_cosim.controller import Recording
+from ddpc_cosim.description import PlantDescription, describe
+from ddpc_cosim.files.durations import in_words
+from ddpc_cosim.identification.candidates import Candidate, candidates, ensemble
+from ddpc_cosim.identification.identification import Identification, LoggedPlant, read_logged_plant
+from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.plant import IdentifiedPlant
+from ddpc_cosim.settings import hash_of_file
+from ddpc_cosim.variables import FloatArray, Variable, names, with_start
+
+_DRAWS_OF_BOOTSTRAP = 28
+"""Seed of the blocks that are drawn: the same logs give the same models."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ensemble:
+    """The models of a log.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of Variable
+        The signals, disturbances after the inputs that are driven.
+    models : tuple of InnovationModel
+        The model of all data, and those of data that might have been recorded as well.
+    states : tuple of array, shape (n,)
+        Where each of them is at the end of the log.
+    ranges : mapping of str to (float, float)
+        What each signal was recorded between.
+    facts : dict of str to str
+        What a report says of them.
+    """
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    models: tuple[InnovationModel, ...]
+    states: tuple[FloatArray, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    facts: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifiedSpec:
+    """A plant that is identified from logs.
+
+    Parameters
+    ----------
+    identification : Identification
+        The logs, with absolute paths, and how models are found.
+    inputs, outputs : tuple of str
+        Signals that are driven, and those that are controlled or measured.
+    ensemble : Ensemble or None
+        The models, once they have been found.
+    """
+
+    identification: Identification
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    ensemble: Ensemble | None = field(default=None, compare=False)
+
+    @property
+    def label(self) -> str:
+        """What it is called: the names of the logs."""
+        return ", ".join(Path(path).name for path in self.identification.file)
+
+    def logged(self) -> LoggedPlant:
+        """Return what the logs hold, which are read once; DataError: what is wrong with them."""
+        return _logged(*self._key)
+
+    def variables(self) -> PlantDescription:
+        """Return the signals as a plant's description; DataError: what is wrong with the logs."""
+        logged = self.logged()
+        described = describe((*logged.inputs, *logged.disturbances), logged.outputs)
+        return replace(described, default_inputs=names(logged.inputs))
+
+    @property
+    def content(self) -> str:
+        """What decides the models: the content of the logs and the settings."""
+        hashes, _, *signals = self._key
+        settings = {key: value for key, value in write(self.identification).items() if key != "file"}
+        decisive = json.dumps([hashes, settings, signals], sort_keys=True)
+        return f"identified {hashlib.sha256(decisive.encode()).hexdigest()}"
+
+    @property
+    def _key(self) -> tuple[tuple[str, ...], str, tuple[str, ...], tuple[str, ...]]:
+        """What a log and its models are kept by."""
+        hashes = tuple(map(hash_of_file, self.identification.file))
+        return hashes, json.dumps(write(self.identification)), self.inputs, self.outputs
+
+    def built(self) -> Self:
+        """Return the plant with its models.
+
+        Raises
+        ------
+        DataError
+            The logs do not do.
+        """
+        return replace(self, ensemble=_ensemble(*self._key))
+
+    def open(self, start: Mapping[str, float], seed: int, *, records: bool) -> IdentifiedPlant:
+        """Open the plant, which is built, that seed s plays.
+
+        Parameters
+        ----------
+        start : mapping of str to float
+            Values that inputs start from and rest at, in place of those of the log.
+        seed : int
+            Says which model it is, and draws its noise.
+        records : bool
+            Whether an experiment comes before the run.
+        """
+        assert self.ensemble is not None
+        number = seed % len(self.ensemble.models)
+        ends = self.identification.start == "log-end"
+        return IdentifiedPlant(
+            self.ensemble.models[number],
+            with_start(self.ensemble.inputs, start),
+            self.ensemble.outputs,
+            seed=seed if self.identification.noise else None,
+            state=self.ensemble.states[number] if ends else None,
+            records=records,
+            facts=self.ensemble.facts,
+        )
+
+
+@lru_cache(maxsize=8)
+def _logged(
+    hashes: tuple[str, ...], settings: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> LoggedPlant:
+    """Read logs of this content, once."""
+    return read_logged_plant(read(Identification, json.loads(settings)), inputs, outputs)
+
+
+@lru_cache(maxsize=8)
+def _ensemble(
+    hashes: tuple[str, ...], settings: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> Ensemble:
+    """Find the models of logs of this content, once."""
+    identification = read(Identification, json.loads(settings))
+    logged = _logged(hashes, settings, inputs, outputs)
+    recording = logged.recording
+    best = candidates(recording, identification.method, identification.order)[0]
+    models = bootstrapped(recording, best, identification.members)
+    return Ensemble(
+        (*logged.inputs, *logged.disturbances),
+        logged.outputs,
+        models,
+        tuple(model.last_state(recording.pieces[-1]) for model in models),
+        logged.ranges,
+        _facts(identification, logged, best),
+    )
+
+
+def bootstrapped(recording: Recording, best: Candidate, members: int) -> tuple[InnovationModel, ...]:
+    """Return so many models: that of all data, and those of data that might have been recorded as well."""
+    rng = np.random.default_rng(_DRAWS_OF_BOOTSTRAP)
+    return best.model, *ensemble(recording, best, members - 1, rng)
+
+
+def _facts(identification: Identification, logged: LoggedPlant, best: Candidate) -> dict[str, str]:
+    """Return what a report says of the models, by key."""
+    recording, members = logged.recording, identification.members
+    files = ", ".join(Path(path).name for path in identification.file)
+    held_out = zip(names(logged.outputs), best.held_out, strict=True)
+    others = f", and {members - 1} of blocks of them, drawn with replacement" if members > 1 else ""
+    return {
+        "identified_from": f"{files}: {len(recording)} samples, {in_words(recording.sampling_time)} apart",
+        "identified_by": best.words,
+        "models": f"one of all data{others}",
+        "fit_on_data_held_out": ", ".join(f"{name} {fit:.3g} %" for name, fit in held_out),
+        "recorded_ranges": "; ".join(
+            f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in logged.ranges.items()
+        ),
+        **({"treatment_of_the_data": "; ".join(logged.treatments)} if logged.treatments else {}),
+    }
