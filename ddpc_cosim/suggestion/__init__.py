@@ -34,6 +34,7 @@ from ddpc_cosim.suggestion.buildings import Building, as_proposed, in_use, short
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.joining import Joined, join
+from ddpc_cosim.suggestion.logs import LoggedSystem
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
 from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.quantities import plausible_outputs
@@ -76,6 +77,8 @@ def suggest_study(
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    disturbances: Sequence[str] = (),
+    columns: Mapping[str, str] | None = None,
     at: OperatingPoint | None = None,
     ranges: Mapping[str, AskedRange] | None = None,
     sampling_time: float | None = None,
@@ -92,9 +95,14 @@ def suggest_study(
     Parameters
     ----------
     path : str or Path, or a sequence of them
-        The FMU, or an SSP archive; several FMUs become a coupled plant, whose connections are proposed.
+        The FMU, or an SSP archive; several FMUs become a coupled plant, whose connections are proposed. Or
+        logs, CSV or Parquet files, from which the plant is identified.
     inputs, outputs : sequence of str, optional
-        Signals to use; default: those that the step test shows to be of use.
+        Signals to use; default: those that the step test shows to be of use, of logs what they are called.
+    disturbances : sequence of str
+        Signals of logs that act on the plant and that no controller drives.
+    columns : mapping of str to str, optional
+        Headers of the columns of logs that are not called as their signals.
     at : mapping of str to number or str, path, or several of them, optional
         The operating point: levels of inputs, parameters and start values, by name, with or without a unit
         (``"20 degC"``), or a file of them; default: the FMU's own.
@@ -130,9 +138,16 @@ def suggest_study(
     if library_path and (len(paths) > 1 or path.suffix.lower() == ".ssp"):
         raise ConfigError(f"{label}: library_path is of one FMU, and this is a system of several")
     libraries = [str(Path(library).resolve()) for library in library_path]
-    joined = _joined(paths) if len(paths) > 1 else None
+    logs = _logs(paths, label)
+    if not logs and (disturbances or columns):
+        raise ConfigError(f"{label}: disturbances and columns are of logs, and this is none")
+    joined = _joined(paths) if len(paths) > 1 and not logs else None
+    system: System | LoggedSystem | None
     with demanded(sandbox):
-        system = System(joined.section, joined.experiment) if joined else _archive(path)
+        if logs:
+            system = LoggedSystem.of(logs, inputs, outputs, disturbances, columns or {}, sampling_time)
+        else:
+            system = System(joined.section, joined.experiment) if joined else _archive(path)
         for file in system.files if system else (path,):
             compile_ahead(file, tell)
     deadline = monotonic() + budget
@@ -147,7 +162,9 @@ def suggest_study(
     levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
     request = Request(levels, spans, sampling_time, duration, inputs, outputs)
     request.check(description, label, steps, faults)
-    roles = _roles(description, request)
+    if isinstance(system, LoggedSystem):
+        request = system.request(request)
+    roles = system.roles if isinstance(system, LoggedSystem) else _roles(description, request)
     driven, drives_too = _candidates(description, label, request, "input", roles)
     read, reads_too = _candidates(description, label, request, "output", roles)
     if building and outputs is None:
@@ -203,6 +220,8 @@ def suggest_study(
     )
     plant = replace(plant, parameters=request.parameters(description))
     proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
+    if isinstance(system, LoggedSystem):
+        proposal = system.learnt(proposal)
     if building:
         proposal = in_use(proposal, building, request, point.choice.time_scale)
     until = time.monotonic() + deadline - monotonic()

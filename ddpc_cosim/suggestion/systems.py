@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ddpc_cosim.coupling.plant import CoupledPlant
-from ddpc_cosim.description import DefaultExperiment
+from ddpc_cosim.description import DefaultExperiment, PlantDescription
 from ddpc_cosim.errors import ConfigError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.study.file_format.sections import CouplingSection, PlantSection
@@ -42,6 +42,17 @@ class TriedPoint(Protocol):
     @property
     def request(self) -> Request:
         """What is asked for."""
+
+
+class OpenedSystem(Protocol):
+    """What a system is that is opened as one plant."""
+
+    @property
+    def description(self) -> PlantDescription:
+        """What it says about itself."""
+
+    def count(self, h: float) -> int:
+        """Return in how many steps one of h [s] is done."""
 
 
 class System:
@@ -132,11 +143,12 @@ class System:
 
     def section(self, sampling_time: float) -> PlantSection:
         """Return the plant of a study with a sampling time [s]."""
-        count = self._count(sampling_time)
+        count = self.count(sampling_time)
         step = sampling_time / count if count > 1 else None
         return replace(self._section, coupling=replace(_COUPLING, communication_step=step))
 
-    def _count(self, h: float) -> int:
+    def count(self, h: float) -> int:
+        """Return in how many steps one of h [s] is done."""
         return max(1, math.ceil(h / self.exchange - _WHOLE))
 
     def open(
@@ -159,10 +171,10 @@ class System:
 class OpenSystem(Plant):
     """A coupled plant whose steps are divided so that its parts exchange values often enough."""
 
-    def __init__(self, plant: Plant, system: System) -> None:
+    def __init__(self, plant: Plant, system: OpenedSystem) -> None:
         self.inputs, self.outputs, self._plant = plant.inputs, plant.outputs, plant
         self.description, self.warnings = system.description, system.description.warnings
-        self._count = system._count
+        self._count = system.count
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
         """Tell all parts their steps and the stop time."""
