@@ -207,7 +207,7 @@ class CouplingSection(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantSection(Section):
-    """Which plant: ``name``, ``fmu``, ``ssp``, ``parts`` or ``identified``; and its variables that take part."""
+    """Which plant, and which of its variables take part; one of the keys that say what it is."""
 
     name: str = setting(
         "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
