@@ -32,6 +32,8 @@ from .errors import (
 from .exporting import export_controller as export_controller, further_signals as further_signals
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
+from .identification.identification import Identification as Identification
+from .identification.plant import IdentifiedPlant as IdentifiedPlant
 from .loop.data_quality import judge_prediction as judge_prediction
 from .loop.master import cosimulate as cosimulate, record as record
 from .loop.plant_control import PlantControl as PlantControl

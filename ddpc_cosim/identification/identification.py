@@ -17,6 +17,10 @@ from fmu_plants.spelling import did_you_mean
 
 Method = Literal["auto", "arx", "armax", "subspace", "hammerstein-wiener", "koopman"]
 Start = Literal["rest", "log-end"]
+_NAMED = {
+    "inputs": "plant.inputs in a study, --input of `ddpc-cosim identify`",
+    "outputs": "plant.outputs, or --output",
+}
 _STILL = 1e-9
 _DIGITS = 3
 
@@ -174,8 +178,8 @@ def _faults(
     """Return what is wrong with the names of signals."""
     given = {"inputs": inputs, "outputs": outputs, "disturbances": tuple(identification.disturbances)}
     faults = [
-        f"{kind}: which columns are they? A log does not say it"
-        for kind in ("inputs", "outputs")
+        f"{kind}: none are named, and a log does not say which of its columns they are: {how}"
+        for kind, how in _NAMED.items()
         if not given[kind]
     ]
     kinds: dict[str, str] = {}

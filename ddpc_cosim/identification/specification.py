@@ -11,10 +11,10 @@ from typing import Self
 import numpy as np
 
 from ddpc_cosim.codec import read, write
-from ddpc_cosim.controller import Recording
 from ddpc_cosim.description import PlantDescription, describe
 from ddpc_cosim.files.durations import in_words
-from ddpc_cosim.identification.candidates import Candidate, candidates, ensemble
+from ddpc_cosim.identification.bootstrap import ensemble
+from ddpc_cosim.identification.candidates import Candidate, candidates
 from ddpc_cosim.identification.identification import Identification, LoggedPlant, read_logged_plant
 from ddpc_cosim.identification.innovation import InnovationModel
 from ddpc_cosim.identification.plant import IdentifiedPlant
@@ -41,6 +41,14 @@ class Ensemble:
         What each signal was recorded between.
     facts : dict of str to str
         What a report says of them.
+    tried : tuple of (str, float)
+        Each method that was tried, in words, with its error on data held out, the best first.
+    held_out : dict of str to float
+        What the model of a part of the data explains of each output on the rest [%].
+    samples : int
+        Length of the logs.
+    treatments : tuple of str
+        What was done to them.
     """
 
     inputs: tuple[Variable, ...]
@@ -49,6 +57,10 @@ class Ensemble:
     states: tuple[FloatArray, ...]
     ranges: Mapping[str, tuple[float, float]]
     facts: dict[str, str]
+    tried: tuple[tuple[str, float], ...]
+    held_out: dict[str, float]
+    samples: int
+    treatments: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,35 +163,37 @@ def _ensemble(
     identification = read(Identification, json.loads(settings))
     logged = _logged(hashes, settings, inputs, outputs)
     recording = logged.recording
-    best = candidates(recording, identification.method, identification.order)[0]
-    models = bootstrapped(recording, best, identification.members)
+    tried = candidates(recording, identification.method, identification.order)
+    best = tried[0]
+    rng = np.random.default_rng(_DRAWS_OF_BOOTSTRAP)
+    models = best.model, *ensemble(recording, best, identification.members - 1, rng)
+    held_out = dict(zip(names(logged.outputs), best.held_out.tolist(), strict=True))
     return Ensemble(
         (*logged.inputs, *logged.disturbances),
         logged.outputs,
         models,
         tuple(model.last_state(recording.pieces[-1]) for model in models),
         logged.ranges,
-        _facts(identification, logged, best),
+        _facts(identification, logged, best, held_out),
+        tuple((candidate.words, candidate.error) for candidate in tried),
+        held_out,
+        len(recording),
+        logged.treatments,
     )
 
 
-def bootstrapped(recording: Recording, best: Candidate, members: int) -> tuple[InnovationModel, ...]:
-    """Return so many models: that of all data, and those of data that might have been recorded as well."""
-    rng = np.random.default_rng(_DRAWS_OF_BOOTSTRAP)
-    return best.model, *ensemble(recording, best, members - 1, rng)
-
-
-def _facts(identification: Identification, logged: LoggedPlant, best: Candidate) -> dict[str, str]:
+def _facts(
+    identification: Identification, logged: LoggedPlant, best: Candidate, held_out: Mapping[str, float]
+) -> dict[str, str]:
     """Return what a report says of the models, by key."""
     recording, members = logged.recording, identification.members
     files = ", ".join(Path(path).name for path in identification.file)
-    held_out = zip(names(logged.outputs), best.held_out, strict=True)
-    others = f", and {members - 1} of blocks of them, drawn with replacement" if members > 1 else ""
+    others = f", and {members - 1} of data that might have been recorded as well" if members > 1 else ""
     return {
         "identified_from": f"{files}: {len(recording)} samples, {in_words(recording.sampling_time)} apart",
         "identified_by": best.words,
         "models": f"one of all data{others}",
-        "fit_on_data_held_out": ", ".join(f"{name} {fit:.3g} %" for name, fit in held_out),
+        "fit_on_data_held_out": ", ".join(f"{name} {fit:.3g} %" for name, fit in held_out.items()),
         "recorded_ranges": "; ".join(
             f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in logged.ranges.items()
         ),

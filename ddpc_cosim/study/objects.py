@@ -17,6 +17,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.durations import seconds_of
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.loop.outlook import Limit
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plant import FMIType, ParameterValue
@@ -186,9 +187,10 @@ class Problem:
 
     Parameters
     ----------
-    plant : str, path, PlantModel or class, or mapping of str to these
+    plant : str, path, PlantModel, class or Identification, or mapping of str to these
         A plant of ``ddpc-cosim list plants``, an FMU or SSP file, equations, or a class derived from
-        ``Plant``; of a coupled plant its parts by name.
+        ``Plant``; what it is identified from, with ``inputs`` and ``outputs``; of a coupled plant its parts
+        by name.
     sampling_time, duration : float or str
         Time between samples and simulated time [s], or as people say it: ``"15 min"``.
     reference : Reference or Band, or mapping of str to these
@@ -444,6 +446,8 @@ class Problem:
 
 def _plant(plant: Any, key: str) -> Table:
     """Return a plant as a study file says it; ``key`` is that of plug-ins."""
+    if isinstance(plant, Identification):
+        return {"identified": plain(plant)}
     path = plant if isinstance(plant, PathLike) else Path(plant) if isinstance(plant, str) else None
     suffix = "" if path is None else Path(path).suffix.lower()
     if path is not None and (suffix in (".fmu", ".ssp") or isinstance(plant, PathLike)):

@@ -1,8 +1,9 @@
-"""A sampled block: a controller in C, and the signals that its FMU has.
+"""A sampled block: a controller in C, or a sampled plant, and the signals that its FMU has.
 
 Its C code declares in `controller.h` its state, `ControllerState`, and the functions `controller_start` and
 `controller_step`, and `controller_follow` where it follows a plant that somebody else drives;
-`runtime/sampled_block.c` calls them at the sampling instants.
+`runtime/sampled_block.c` calls them at the sampling instants. That of a plant declares `controller_outputs`
+besides, which says the outputs in a state; its step is to the next instant.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -51,6 +52,9 @@ class SampledBlock:
     follows : bool
         Whether it can follow the plant: then it has further inputs, `active` and for each control
         ``applied.NAME``, what drives the plant where `active` is 0.
+    is_plant : bool
+        Whether it is a plant: `measurements` drive it, and `controls` are what it gives, which follow from
+        its state at an instant, not from what drives it there.
     """
 
     name: str
@@ -62,16 +66,17 @@ class SampledBlock:
     sources: Mapping[str, str]
     resources: Mapping[str, str] = field(default_factory=dict)
     follows: bool = False
+    is_plant: bool = False
 
     def layout(self) -> tuple[Scalar, ...]:
         """Return all variables of the FMU, in the order of their value references."""
         groups = (
             ("", Kind.TIME, (Variable(TIME, "s", description="Simulated time"),)),
-            ("measurement", Kind.SAMPLE, self.measurements),
+            ("input" if self.is_plant else "measurement", Kind.SAMPLE, self.measurements),
             ("reference", Kind.SAMPLE, self.references),
             ("controller", Kind.SAMPLE, self._hand_over_inputs()),
-            ("input", Kind.HELD, self.controls),
-            ("controller", Kind.HELD, _NUMBERS),
+            ("output" if self.is_plant else "input", Kind.HELD, self.controls),
+            ("controller", Kind.HELD, self._numbers()),
         )
         return tuple(_named_apart(groups))
 
@@ -80,6 +85,10 @@ class SampledBlock:
         first = 1 + len(self.measurements) + len(self.references)
         inputs = self.layout()[first : first + len(self._hand_over_inputs())]
         return [scalar.variable.name for scalar in inputs]
+
+    def _numbers(self) -> Sequence[Variable]:
+        """Return what a controller says of its answer."""
+        return () if self.is_plant else _NUMBERS
 
     def _hand_over_inputs(self) -> Sequence[Variable]:
         """Return the inputs by which another controller hands the plant over."""
@@ -98,7 +107,7 @@ class SampledBlock:
         return _ACTIVE, *applied
 
     def contents(self) -> Contents:
-        """Return what the FMU is: every output depends on every input, without delay."""
+        """Return what the FMU is: every output of a controller depends on every input, without delay."""
         layout = self.layout()
         samples, held = (
             tuple(scalar.variable.name for scalar in layout if scalar.kind is kind)
@@ -109,7 +118,7 @@ class SampledBlock:
             self.description,
             layout,
             held,
-            dict.fromkeys(held, frozenset(samples)),
+            dict.fromkeys(held, frozenset[str]() if self.is_plant else frozenset(samples)),
             {"stopTime": _SHOWN_SAMPLES * self.sampling_time, "stepSize": self.sampling_time},
             self.sampling_time,
         )
@@ -117,7 +126,7 @@ class SampledBlock:
     def code(self) -> str:
         """Return the text of `model.c`, with an empty GUID."""
         layout = self.layout()
-        return f"""/* {self.name}: the signals of a controller. */
+        return f"""/* {self.name}: the signals of a {"plant" if self.is_plant else "controller"}. */
 #include "model.h"
 #include "sampled_block.h"
 
@@ -130,7 +139,7 @@ const Model model = {{
     .guid = "",
     .n_variables = {len(layout)},
     .n_inputs = {len(self.measurements) + len(self.references) + len(self._hand_over_inputs())},
-    .n_outputs = {len(self.controls) + len(_NUMBERS)},
+    .n_outputs = {len(self.controls) + len(self._numbers())},
     .variables = variables,
 }};
 
@@ -140,6 +149,7 @@ const SampledBlock block = {{
     .n_references = {len(self.references)},
     .n_controls = {len(self.controls)},
     .follow = {"controller_follow" if self.follows else "NULL"},
+    .outputs = {"controller_outputs" if self.is_plant else "NULL"},
 }};
 """
 

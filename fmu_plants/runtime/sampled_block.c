@@ -3,7 +3,9 @@
  *
  * At an instant, outputs that are read after inputs were set belong to these inputs, but the step that they come from
  * is taken on a copy of the state. The communication step that begins at the instant commits it. Until inputs are set
- * at the next instant, the outputs are the ones that were held. */
+ * at the next instant, the outputs are the ones that were held.
+ *
+ * Of a plant the outputs follow from the state alone: they change when an instant is reached, whatever is set there. */
 #include "sampled_block.h"
 
 #include "instance.h"
@@ -31,6 +33,16 @@ struct Simulation {
 enum { N_NUMBERS = 3, SAVED_START = 0, SAVED_INSTANT, SAVED_PHASE, SAVED_NUMBERS };
 enum { SAVED_MEMORY = SAVED_NUMBERS + N_NUMBERS, SAVED_VALUES = SAVED_MEMORY + CONTROLLER_MEMORY };
 
+static size_t first_output(void)
+{
+    return 1 + block.n_measurements + block.n_references + (block.follow ? 1 + block.n_controls : 0);
+}
+
+static void show_state(Simulation *simulation)
+{
+    if (block.outputs) block.outputs(&simulation->states[simulation->current], simulation->values + first_output());
+}
+
 static double time_of(const Simulation *simulation, double instant)
 {
     return simulation->start + instant * block.sampling_time;
@@ -53,6 +65,7 @@ void simulation_reset(Simulation *simulation)
     for (size_t i = 0; i < model.n_variables; ++i) simulation->values[i] = model.variables[i].start;
     simulation->current = 0;
     controller_start(&simulation->states[0]);
+    show_state(simulation);
     simulation_set_time(simulation, 0.0);
 }
 
@@ -88,11 +101,6 @@ void simulation_set_value(Simulation *simulation, size_t reference, double value
     if (simulation->phase == AT_INSTANT || (simulation->phase == ANSWERED && !same)) simulation->phase = ASKED;
 }
 
-static size_t first_output(void)
-{
-    return 1 + block.n_measurements + block.n_references + (block.follow ? 1 + block.n_controls : 0);
-}
-
 /* Compute outputs for the inputs as they are, and the state after that. */
 static void answer(Simulation *simulation)
 {
@@ -101,6 +109,11 @@ static void answer(Simulation *simulation)
     const double *active = r + block.n_references;
     double *u = simulation->values + first_output(), *numbers = u + block.n_controls;
     *next = simulation->states[simulation->current];
+    if (block.outputs) {
+        controller_step(next, y, r, u);
+        simulation->phase = ANSWERED;
+        return;
+    }
     if (block.follow && *active == 0.0) {
         memcpy(u, active + 1, block.n_controls * sizeof(double));
         block.follow(next, y, r, u);
@@ -192,6 +205,7 @@ Status instance_do_step(Instance *instance, double start, double size, const cha
         simulation->values[0] = next;
         simulation->instant += 1.0;
         simulation->phase = AT_INSTANT;
+        show_state(simulation);
     }
     return STATUS_OK;
 }

@@ -207,7 +207,7 @@ class CouplingSection(Section):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantSection(Section):
-    """Which plant: ``name``, ``fmu``, ``ssp``, ``parts`` or ``identified``; and its variables that take part."""
+    """Which plant, and which of its variables take part; one of the keys that say what it is."""
 
     name: str = setting(
         "", doc="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT", plant=True
@@ -216,7 +216,7 @@ class PlantSection(Section):
     ssp: str = setting("", doc="path of an SSP archive, relative to the study file", file=True)
     identified: Annotated[
         Identification | None, Prepared(identification_table, {"type": ["string", "array"]})
-    ] = setting(None, doc="logs that the plant is identified from: a path, several, or with settings")
+    ] = setting(None, doc="logs that the plant is identified from: paths, or a table", file=True)
     parts: list[PartSection] = setting([], doc="the parts of a coupled plant")
     connections: list[Connection] = setting([], doc="what the parts exchange")
     coupling: CouplingSection | None = setting(None, doc="how the parts are coupled")
