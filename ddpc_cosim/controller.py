@@ -471,7 +471,8 @@ class Controller(ABC):
 
     Reading a study asks an object that is never started for ``settings``, ``uses_recording``, ``horizon``
     and, where there is a recording, ``recording_length``; ``ddpc-cosim tune`` asks such a one for
-    ``settings_as``, and ``ddpc-cosim export-controller`` a started one for ``c_code``. These may be set, too.
+    ``settings_as``, ``ddpc-cosim inspect`` one for ``prediction_errors``, and ``ddpc-cosim
+    export-controller`` a started one for ``c_code``. These may be set, too.
     """
 
     # These may be set: as attributes, which may be settings, or as properties.
@@ -569,6 +570,30 @@ class Controller(ABC):
             The other class, or one derived from it.
         inputs, outputs, samples : int
             Numbers of the loop's inputs and outputs, and of the recording's samples (0: there is none).
+        """
+        return None
+
+    def prediction_errors(self, recording: Recording) -> FloatArray | None:
+        """Return how far the method's predictions from a recording are off on samples that it held out.
+
+        For ``ddpc-cosim inspect`` and :meth:`Recording.summary`; the object is not used for a run after it.
+
+        Parameters
+        ----------
+        recording : Recording
+            The experiment, by which it knows the plant.
+
+        Returns
+        -------
+        errors : array, shape (n, p), or None
+            Root mean square over the recording's last quarter, which nothing was fitted to, in parts of each
+            output's standard deviation: row i of predictions i + 1 samples after the last known output. None
+            if the method does not predict, or too few samples are left to test it.
+
+        Raises
+        ------
+        DataError
+            The recording cannot serve this method.
         """
         return None
 
