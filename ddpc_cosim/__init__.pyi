@@ -32,6 +32,7 @@ from .errors import (
 from .exporting import export_controller as export_controller, further_signals as further_signals
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
+from .inspection.logs import LogSummary as LogSummary
 from .loop.master import cosimulate as cosimulate, record as record
 from .loop.plant_control import PlantControl as PlantControl
 from .loop.plotting import Picture as Picture

@@ -10,7 +10,7 @@ from itertools import accumulate, pairwise
 from numbers import Integral
 from pathlib import Path
 from types import FunctionType, MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, read_table, write
 from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
+
+if TYPE_CHECKING:
+    from ddpc_cosim.inspection.logs import LogSummary
 
 OK = "ok"
 _TABLES = ("u", "y", "measured", "d")
@@ -210,6 +213,23 @@ class Recording:
                         f'recording: "{header}" has different values as one signal and as another'
                     )
         write_table(Path(path), table, {})
+
+    def summary(
+        self,
+        inputs: Sequence[Variable | str] = (),
+        outputs: Sequence[Variable | str] = (),
+        disturbances: Sequence[Variable | str] = (),
+    ) -> "LogSummary":
+        """Return what the recording is good for, as ``ddpc-cosim inspect`` says it of a log.
+
+        Parameters
+        ----------
+        inputs, outputs, disturbances : sequence of Variable or str
+            Names and units of the signals; default: u1, u2, ..., y1, ... and d1, ...
+        """
+        from ddpc_cosim.inspection.logs import summary_of
+
+        return summary_of(self, inputs, outputs, disturbances)
 
     @property
     def pieces(self) -> tuple["Recording", ...]:

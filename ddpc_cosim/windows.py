@@ -13,7 +13,7 @@ RANK_TOLERANCE = 1e-10
 """A singular value below this fraction of the largest counts as zero."""
 
 GOOD, FAIR = 0.2, 0.5
-"""Prediction errors up to which a prediction is good, and fair, in parts of the output's standard deviation."""
+"""Errors up to which a prediction is good, and fair, in parts of the output's standard deviation."""
 
 
 def window_starts(samples: int, depth: int, seams: Sequence[int] = ()) -> NDArray[np.intp]:
