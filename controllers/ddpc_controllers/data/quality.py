@@ -161,7 +161,12 @@ def fit_by_windows(
 
 
 def fit_by_model(
-    model: "SampledModel", states: FloatArray, recording: Recording, steps: int, head: int
+    model: "SampledModel",
+    states: FloatArray,
+    recording: Recording,
+    steps: int,
+    head: int,
+    first_step: int = 1,
 ) -> PredictionTest | None:
     """Test a model that was fitted to the first samples of a recording.
 
@@ -177,6 +182,8 @@ def fit_by_model(
         Samples that are predicted.
     head : int
         Samples that the model was fitted to.
+    first_step : int
+        The first that counts: 1 where states hold the outputs measured at their samples, 0 where they do not.
 
     Returns
     -------
@@ -187,11 +194,12 @@ def fit_by_model(
         return None
     first = window_starts(len(states), steps + 1, recording.seams)
     x = states[first]
-    errors = np.empty((len(first), steps, recording.y.shape[1]))
-    for step in range(steps):
-        x = x @ model.a.T + recording.u[first + step] @ model.b.T + recording.d[first + step] @ model.e.T
-        then = first + step + 1
-        errors[:, step] = recording.y[then] - x @ model.c.T - recording.d[then] @ model.f.T
+    errors = np.empty((len(first), steps + 1, recording.y.shape[1]))
+    for step in range(steps + 1):
+        now = first + step
+        errors[:, step] = recording.y[now] - x @ model.c.T - recording.d[now] @ model.f.T
+        x = x @ model.a.T + recording.u[now] @ model.b.T + recording.d[now] @ model.e.T
+    errors = errors[:, first_step:]
     fitted, held_out = errors[first + steps < head], errors[first >= head]
     return _in_parts(fitted, held_out, recording.y) if len(fitted) and len(held_out) else None
 
