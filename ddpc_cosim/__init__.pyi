@@ -34,7 +34,7 @@ from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
 from .identification.identification import Identification as Identification
 from .identification.plant import IdentifiedPlant as IdentifiedPlant
-from .loop.data_quality import judge_prediction as judge_prediction
+from .inspection.logs import LogSummary as LogSummary
 from .loop.master import cosimulate as cosimulate, record as record
 from .loop.plant_control import PlantControl as PlantControl
 from .loop.plotting import Picture as Picture
@@ -99,3 +99,12 @@ from .study.report_sections import (
 )
 from .study.results import StudyResults as StudyResults, load_results as load_results
 from .variables import DisplayUnit as DisplayUnit, FloatArray as FloatArray, Variable as Variable
+from .windows import (
+    RANK_TOLERANCE as RANK_TOLERANCE,
+    count_windows as count_windows,
+    hankel_matrix as hankel_matrix,
+    judge_prediction as judge_prediction,
+    numerical_rank as numerical_rank,
+    persistency_of_excitation as persistency_of_excitation,
+    window_starts as window_starts,
+)

@@ -10,7 +10,7 @@ from itertools import accumulate, pairwise
 from numbers import Integral
 from pathlib import Path
 from types import FunctionType, MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from ddpc_cosim.files.logs import LogFormat, read_log
 from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
+
+if TYPE_CHECKING:
+    from ddpc_cosim.inspection.logs import LogSummary
 
 OK = "ok"
 _TABLES = ("u", "y", "measured", "d")
@@ -216,6 +219,23 @@ class Recording:
                         f'recording: "{header}" has different values as one signal and as another'
                     )
         write_table(Path(path), table, {})
+
+    def summary(
+        self,
+        inputs: Sequence[Variable | str] = (),
+        outputs: Sequence[Variable | str] = (),
+        disturbances: Sequence[Variable | str] = (),
+    ) -> "LogSummary":
+        """Return what the recording is good for, as ``ddpc-cosim inspect`` says it of a log.
+
+        Parameters
+        ----------
+        inputs, outputs, disturbances : sequence of Variable or str
+            Names and units of the signals; default: u1, u2, ..., y1, ... and d1, ...
+        """
+        from ddpc_cosim.inspection.logs import summary_of
+
+        return summary_of(self, inputs, outputs, disturbances)
 
     @property
     def pieces(self) -> tuple["Recording", ...]:
@@ -477,7 +497,8 @@ class Controller(ABC):
 
     Reading a study asks an object that is never started for ``settings``, ``uses_recording``, ``horizon``
     and, where there is a recording, ``recording_length``; ``ddpc-cosim tune`` asks such a one for
-    ``settings_as``, and ``ddpc-cosim export-controller`` a started one for ``c_code``. These may be set, too.
+    ``settings_as``, ``ddpc-cosim inspect`` one for ``prediction_errors``, and ``ddpc-cosim
+    export-controller`` a started one for ``c_code``. These may be set, too.
     """
 
     # These may be set: as attributes, which may be settings, or as properties.
@@ -575,6 +596,30 @@ class Controller(ABC):
             The other class, or one derived from it.
         inputs, outputs, samples : int
             Numbers of the loop's inputs and outputs, and of the recording's samples (0: there is none).
+        """
+        return None
+
+    def prediction_errors(self, recording: Recording) -> FloatArray | None:
+        """Return how far the method's predictions from a recording are off on samples that it held out.
+
+        For ``ddpc-cosim inspect`` and :meth:`Recording.summary`; the object is not used for a run after it.
+
+        Parameters
+        ----------
+        recording : Recording
+            The experiment, by which it knows the plant.
+
+        Returns
+        -------
+        errors : array, shape (n, p), or None
+            Root mean square over the recording's last quarter, which nothing was fitted to, in parts of each
+            output's standard deviation: row i of predictions i + 1 samples after the last known output. None
+            if the method does not predict, or too few samples are left to test it.
+
+        Raises
+        ------
+        DataError
+            The recording cannot serve this method.
         """
         return None
 

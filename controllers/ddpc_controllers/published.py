@@ -67,6 +67,9 @@ class PublishedDeePC(DeePC):
             )
         return faults
 
+    def prediction_errors(self, recording: Recording) -> None:
+        """Return None: errors on samples of which some are made up compare with nobody else's."""
+
     def _stack(self, recording: Recording) -> FloatArray:
         data = super()._stack(padded_with_zeros(recording, self.initial_length))
         data[self._rows_of(ONE, recording), self.horizon :] = 0.0
@@ -101,6 +104,9 @@ class PublishedWKPC(WKPC):
 
     def _draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         return partial(_redrawn, plates=self.dictionary, rng=rng)
+
+    def prediction_errors(self, recording: Recording) -> None:
+        """Return None: errors on samples of which some are made up compare with nobody else's."""
 
     def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
         return super()._stack(padded_with_zeros(recording, self.initial_length), lifted)

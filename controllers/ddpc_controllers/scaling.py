@@ -451,6 +451,13 @@ class ScaledSignals(Exportable):
                 raise ConfigError([*error.faults, *misfits]) from error
             raise
 
+    def prediction_errors(self, recording: Recording) -> FloatArray | None:
+        """Return the errors on the recording's last quarter of a predictor fitted to the rest."""
+        if not self.uses_recording:
+            return None
+        self.start(_without_limits(recording))
+        return self._judgement.errors
+
     def warnings(self) -> Sequence[str]:
         """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
         return [*self._scales.misfits(), *self._method_loop.warnings, *self._judgement.warnings]
@@ -489,6 +496,26 @@ class ScaledSignals(Exportable):
     @abstractmethod
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return scaled inputs for a sample of scaled signals."""
+
+
+def _without_limits(recording: Recording) -> Loop:
+    """Return a loop to learn from a recording in: its signals have no limits, their size is as recorded."""
+
+    def variables(kind: str, values: FloatArray) -> tuple[Variable, ...]:
+        sizes = np.where(stands_still(values), 1.0, values.std(axis=0)).tolist()
+        return tuple(Variable(f"{kind}{i}", nominal=size) for i, size in enumerate(sizes))
+
+    unlimited = [np.full(signals.shape[1], np.inf) for signals in (recording.u, recording.y)]
+    return Loop(
+        sampling_time=recording.sampling_time,
+        inputs=variables("u", recording.u),
+        outputs=variables("y", recording.y),
+        measurements=variables("x", recording.measured),
+        bounds=Bounds(-unlimited[0], unlimited[0], -unlimited[1], unlimited[1]),
+        recording=recording,
+        rng=np.random.default_rng(0),
+        disturbances=variables("d", recording.d),
+    )
 
 
 @dataclass(kw_only=True)

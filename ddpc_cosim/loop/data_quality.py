@@ -23,9 +23,6 @@ _ROUNDED = 1e-9
 
 CANNOT_FOLLOW = "a controller that keeps to the limit cannot follow the reference there"
 
-# Prediction errors up to which a prediction is good, and fair, in parts of the output's standard deviation.
-_GOOD, _FAIR = 0.2, 0.5
-
 
 def recording_warnings(loop: Loop, reference: FloatArray) -> tuple[str, ...]:
     """Return why a loop's recording hardly tells what the reference asks for.
@@ -85,30 +82,6 @@ def references_beyond_limits(
                     f"the reference of {variable.name} goes {way} to {far}, its {which} limit is {near}"
                 )
     return warnings
-
-
-def judge_prediction(error: float, fitted: float) -> str:
-    """Return ``"good"``, ``"fair"``, or ``"poor"`` and why, for a prediction tested on samples held out.
-
-    Parameters
-    ----------
-    error : float
-        Root mean square error at the end of the horizon over samples that were held out, in parts of the
-        output's standard deviation.
-    fitted : float
-        The same over the samples that the predictor was fitted to.
-    """
-    if error < _FAIR:
-        return "good" if error < _GOOD else "fair"
-    if fitted < 0.5 * error:
-        return (
-            "poor: what it was fitted to is predicted far better, so that the recording is too short, "
-            "the plant changed during it, or it is unstable"
-        )
-    return (
-        "poor: what it was fitted to is not predicted either, for noise, for inputs or disturbances that it "
-        "does not know, for a plant that is not linear over the recording, or for too short a past"
-    )
 
 
 def _still(variables: tuple[Variable, ...], values: FloatArray) -> list[Variable]:

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from ddpc_cosim import CaseResult, FloatArray, Trace
+from ddpc_cosim import CaseResult, FloatArray, Trace, judge_prediction
 from ddpc_cosim.files.texts import recorded, without_folders
-from ddpc_cosim.loop.data_quality import judge_prediction
 from ddpc_cosim.study.verdicts.sentences import italic, join_words
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.figures.clock import Clock

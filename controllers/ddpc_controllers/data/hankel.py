@@ -1,16 +1,23 @@
-"""Windows of a recording, their Hankel matrices, persistency of excitation, and what a recording is worth."""
+"""Windows of a recording as a predictor stacks them, and whether the recording excites the plant enough."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ddpc_cosim import DataError, FloatArray, Loop, Recording
-
-RANK_TOLERANCE = 1e-10
-"""A singular value below this fraction of the largest counts as zero."""
+from ddpc_cosim import (
+    RANK_TOLERANCE,
+    DataError,
+    FloatArray,
+    Loop,
+    Recording,
+    count_windows as count_windows,
+    hankel_matrix as hankel_matrix,
+    numerical_rank as numerical_rank,
+    persistency_of_excitation as persistency_of_excitation,
+    window_starts as window_starts,
+)
 
 _LARGEST_HANKEL = 200
 """Rows of the largest Hankel matrix decomposed to find how far beyond the need a recording excites."""
@@ -48,111 +55,6 @@ class DataDiagnostics:
         return {name: float(value) for name, value in asdict(self).items()}
 
 
-def window_starts(samples: int, depth: int, seams: Sequence[int] = ()) -> NDArray[np.intp]:
-    """Return the first samples of the windows of a recording, none of which crosses a seam.
-
-    Parameters
-    ----------
-    samples : int
-        Number of samples T.
-    depth : int
-        Number of samples of a window.
-    seams : sequence of int
-        The first sample of every piece but the first.
-
-    Raises
-    ------
-    DataError
-        No piece is as long as a window.
-    """
-    allowed = np.ones(max(samples - depth + 1, 0), dtype=bool)
-    for seam in seams:
-        allowed[max(seam - depth + 1, 0) : seam] = False
-    starts = np.flatnonzero(allowed)
-    if not starts.size:
-        there = (
-            f"the longest piece has {max(np.diff((0, *seams, samples)))}" if seams else f"there are {samples}"
-        )
-        raise DataError(f"a window of {depth} samples needs as many samples in a row; {there}: record longer")
-    return starts
-
-
-def hankel_matrix(w: FloatArray, depth: int, seams: Sequence[int] = ()) -> FloatArray:
-    """Return the Hankel matrix of a recorded signal, equation (1); of a mosaic, those of its pieces abreast.
-
-    Parameters
-    ----------
-    w : array, shape (T, d)
-        The signal, time along axis 0.
-    depth : int
-        Number of block rows L.
-    seams : sequence of int
-        The first sample of every piece but the first.
-
-    Returns
-    -------
-    matrix : array, shape (depth * d, T - depth + 1)
-        Column j is the window ``w[j], ..., w[j + depth - 1]``; those that cross a seam are left out.
-
-    Raises
-    ------
-    DataError
-        No piece of the recording is as long as one window.
-    """
-    length, width = w.shape
-    if not 1 <= depth <= length:
-        raise DataError(
-            f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}"
-        )
-    windows = sliding_window_view(w, depth, axis=0)  # (T - depth + 1, d, depth)
-    matrix = windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
-    return matrix[:, window_starts(length, depth, seams)] if seams else matrix
-
-
-def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int:
-    """Return the number of singular values above ``tolerance`` times the largest."""
-    return _count_nonzero(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), tolerance)
-
-
-def persistency_of_excitation(u: FloatArray, at_most: int | None = None, seams: Sequence[int] = ()) -> int:
-    """Return the highest order L for which ``hankel_matrix(u, L, seams)`` has full row rank.
-
-    Of several experiments together: H. J. van Waarde, C. De Persis, M. K. Camlibel, P. Tesi, Willems'
-    fundamental lemma for state-space systems and its extension to multiple datasets, IEEE Control Systems
-    Letters 4(3), 2020, doi:10.1109/LCSYS.2020.2986991.
-
-    Parameters
-    ----------
-    u : array, shape (T, m)
-        Inputs, time along axis 0.
-    at_most : int, optional
-        Look no further than this order.
-    seams : sequence of int
-        The first sample of every piece but the first.
-
-    Returns
-    -------
-    order : int
-        0 if the signal does not excite at all.
-    """
-    length, width = u.shape
-    scale = np.abs(u).max(axis=0, initial=0.0)
-    if not scale.all():
-        return 0
-    highest = (length + 1) // (width + 1)  # beyond it there are fewer columns than rows
-    while count_windows(length, highest, seams) < highest * width:
-        highest -= 1
-    if at_most is not None:
-        highest = min(highest, at_most)
-    return _last_full_rank_depth(u / scale, highest, seams)
-
-
-def count_windows(samples: int, depth: int, seams: Sequence[int] = ()) -> int:
-    """Return how many windows of a depth a recording has; parameters as in :func:`window_starts`."""
-    lengths = np.diff((0, *seams, samples))
-    return int(np.maximum(lengths - depth + 1, 0).sum())
-
-
 def least_samples(order: int, inputs: int) -> int:
     """Return the least number of samples with which ``inputs`` signals can excite up to an order."""
     return (inputs + 1) * order - 1
@@ -177,7 +79,7 @@ def diagnose(
     size = np.sqrt(np.mean(np.square(stacked), axis=1, keepdims=True))
     size[size == 0.0] = 1.0
     values = np.linalg.svd(stacked / size, compute_uv=False).astype(np.float64)
-    rank = _count_nonzero(values, RANK_TOLERANCE)
+    rank = int(np.count_nonzero(values > RANK_TOLERANCE * values.max(initial=0.0)))
     smallest = float(values[rank - 1]) if rank else 0.0
     look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])
     return DataDiagnostics(
@@ -252,26 +154,6 @@ def require_excitation(diagnostics: DataDiagnostics, why: str, who: str, disturb
             f"smallest singular value {diagnostics.smallest_singular_value:.1e}: record more samples or use "
             f"{remedy}"
         )
-
-
-def _count_nonzero(singular_values: FloatArray, tolerance: float) -> int:
-    if not singular_values.size:
-        return 0
-    return int(np.count_nonzero(singular_values > tolerance * singular_values[0]))
-
-
-def _last_full_rank_depth(u: FloatArray, highest: int, seams: Sequence[int]) -> int:
-    """Bisect: a Hankel matrix with full row rank keeps it when it loses a block row."""
-    full, lacking = 0, highest + 1
-    depth = highest
-    while lacking - full > 1:
-        matrix = hankel_matrix(u, depth, seams)
-        if numerical_rank(matrix) == matrix.shape[0]:
-            full = depth
-        else:
-            lacking = depth
-        depth = (full + lacking) // 2
-    return full
 
 
 def require_informative(u: FloatArray, known: FloatArray, who: str) -> None:

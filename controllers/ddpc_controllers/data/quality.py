@@ -34,10 +34,13 @@ class Judgement(NamedTuple):
         What speaks against it.
     diagnostics : mapping of str to float
         How well it lets the method predict; empty where that was not tested.
+    errors : array, shape (n, p), optional
+        See :class:`PredictionTest`; None where that was not tested.
     """
 
     warnings: tuple[str, ...] = ()
     diagnostics: Mapping[str, float] = {}
+    errors: FloatArray | None = None
 
 
 class Span(NamedTuple):
@@ -59,19 +62,22 @@ class Span(NamedTuple):
 
 
 class PredictionTest(NamedTuple):
-    """A predictor's errors at the end of its horizon, of the output that it predicts worst.
+    """A predictor's errors, in parts of the standard deviations of the outputs.
 
     Parameters
     ----------
     error : float
-        Root mean square over the recording's tail, which the predictor was not fitted to, in parts of the
-        output's standard deviation.
+        At the end of the horizon, of the output that is predicted worst: root mean square over the
+        recording's tail, which the predictor was not fitted to.
     fitted : float
         The same over the rest, which it was fitted to.
+    errors : array, shape (n, p)
+        Over the tail, of every output, row i of predictions i + 1 samples after the last known output.
     """
 
     error: float
     fitted: float
+    errors: FloatArray
 
 
 def judge(
@@ -103,12 +109,12 @@ def judge(
     figures = {"prediction_error": test.error, "prediction_error_fitted": test.fitted}
     verdict = judge_prediction(test.error, test.fitted)
     if not verdict.startswith("poor"):
-        return Judgement(late, figures)
+        return Judgement(late, figures, test.errors)
     poor = (
         f"{who}: {horizon} samples ahead it is off by {100 * test.error:.0f} % of the output's standard "
         f"deviation on the recording's last quarter, held out; {verdict}"
     )
-    return Judgement((*late, poor), figures)
+    return Judgement((*late, poor), figures, test.errors)
 
 
 def fit_by_windows(
@@ -135,7 +141,7 @@ def fit_by_windows(
         None if the head has too few windows to fit a predictor at all.
     """
     rows, windows = data.shape
-    known, last = data[: rows - future].T, data[rows - outputs :].T
+    known, ahead = data[: rows - future].T, data[rows - future :].T
     tail = windows - max(1, round(_HELD_OUT * windows))
     head = tail - depth + 1
     if head < _EQUATIONS * known.shape[1]:
@@ -144,18 +150,23 @@ def fit_by_windows(
     split = known.shape[1]
     weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / windows)
     system = [
-        np.hstack([known[:head] / size, last[:head]]),
-        np.hstack([np.diag(weighed / size), np.zeros((split, outputs))]),
+        np.hstack([known[:head] / size, ahead[:head]]),
+        np.hstack([np.diag(weighed / size), np.zeros((split, future))]),
     ]
     # The triangular factor of the head has all that its least squares need, in a few rows.
     factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
     solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
-    errors = last - known / size @ solution
-    return _in_parts(errors[:head], errors[tail:], last)
+    errors = (ahead - known / size @ solution).reshape(windows, -1, outputs)
+    return _in_parts(errors[:head], errors[tail:], ahead[:, -outputs:])
 
 
 def fit_by_model(
-    model: "SampledModel", states: FloatArray, recording: Recording, steps: int, head: int
+    model: "SampledModel",
+    states: FloatArray,
+    recording: Recording,
+    steps: int,
+    head: int,
+    first_step: int = 1,
 ) -> PredictionTest | None:
     """Test a model that was fitted to the first samples of a recording.
 
@@ -171,6 +182,8 @@ def fit_by_model(
         Samples that are predicted.
     head : int
         Samples that the model was fitted to.
+    first_step : int
+        The first that counts: 1 where states hold the outputs measured at their samples, 0 where they do not.
 
     Returns
     -------
@@ -181,9 +194,12 @@ def fit_by_model(
         return None
     first = window_starts(len(states), steps + 1, recording.seams)
     x = states[first]
-    for step in range(steps):
-        x = x @ model.a.T + recording.u[first + step] @ model.b.T + recording.d[first + step] @ model.e.T
-    errors = recording.y[first + steps] - x @ model.c.T - recording.d[first + steps] @ model.f.T
+    errors = np.empty((len(first), steps + 1, recording.y.shape[1]))
+    for step in range(steps + 1):
+        now = first + step
+        errors[:, step] = recording.y[now] - x @ model.c.T - recording.d[now] @ model.f.T
+        x = x @ model.a.T + recording.u[now] @ model.b.T + recording.d[now] @ model.e.T
+    errors = errors[:, first_step:]
     fitted, held_out = errors[first + steps < head], errors[first >= head]
     return _in_parts(fitted, held_out, recording.y) if len(fitted) and len(held_out) else None
 
@@ -281,8 +297,8 @@ def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Seque
 
 
 def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTest:
-    """Return errors in parts of the standard deviations of the outputs, of the worst output."""
+    """Return errors, shape (windows, n, p), in parts of the standard deviations of the outputs."""
     size = _deviations(y)
-    error, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
-    worst = int(np.argmax(error))
-    return PredictionTest(float(error[worst]), float(fitted[worst]))
+    errors, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
+    worst = int(np.argmax(errors[-1]))
+    return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors)

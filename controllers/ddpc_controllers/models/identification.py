@@ -98,6 +98,7 @@ class Identified(ModelSource):
             moved,
             max(steps - 1, 1),
             int(np.searchsorted(known, len(first))),
+            first_step=0,
         )
 
 
