@@ -180,7 +180,9 @@ def names_of(*kinds: str) -> Callable[..., list[CompletionItem]]:
 
 STUDY = argument(shell_complete=names_of("studies"))
 FMU = argument(type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp")
-FMUS = argument(type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp|FILE.fmu FILE.fmu...")
+FMUS = argument(
+    type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp|FILE.fmu FILE.fmu...|LOG.csv..."
+)
 JOBS = option(None, "Worker processes [one per processor].", type=AT_LEAST_1)
 ONLY = option((), "Only cases of this name or label; may be repeated.", metavar="GLOB")
 Executor = Literal["local", "dask"]

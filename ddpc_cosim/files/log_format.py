@@ -31,6 +31,16 @@ def _zone(name: str) -> str:
     return name
 
 
+WHOLE = [0.0, 1.0]
+"""All samples."""
+
+
+def _part(shares: list[float]) -> list[float]:
+    if len(shares) != 2 or not 0.0 <= shares[0] < shares[1] <= 1.0:
+        raise ValueError(f"must be two shares between 0 and 1, the smaller first, got {shares}")
+    return shares
+
+
 _INTERPOLATE = {"type": "object", "properties": {"interpolate": {"type": "integer", "minimum": 0}}}
 
 
@@ -82,6 +92,11 @@ class LogFormat(Section):
         low=0,
         doc="cells further than this many scaled median absolute deviations from a running median are "
         "missing; 0: none are",
+    )
+
+    part: Annotated[list[float], Rule(_part)] = setting(
+        WHOLE,
+        doc="which of all samples are taken, from one share of them to another: [0.5, 1.0] is the second half",
     )
 
     @property

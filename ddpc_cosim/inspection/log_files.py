@@ -11,7 +11,13 @@ from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.csv_files import PARQUET, CSVFile, load_pyarrow, split_unit
 from ddpc_cosim.files.logs import Log, LogFormat, read_log
-from ddpc_cosim.inspection.columns import ColumnFacts, SamplingFacts, column_facts, sampling_facts, whole_pieces
+from ddpc_cosim.inspection.columns import (
+    ColumnFacts,
+    SamplingFacts,
+    column_facts,
+    sampling_facts,
+    whole_pieces,
+)
 from ddpc_cosim.inspection.logs import LogSummary, summarise
 from ddpc_cosim.suggestion.words import CERTAIN, Wording, is_reading, setpoint, vocabulary, words_of
 from ddpc_cosim.variables import FloatArray, Variable
@@ -58,7 +64,7 @@ def inspect_log(
         A name is not that of a column, or given for two roles; all of them at once.
     """
     format = LogFormat(
-        time_column=_time_column(path), gaps="split", resample="no" if sampling_time is None else "mean"
+        time_column=time_column_of(path), gaps="split", resample="no" if sampling_time is None else "mean"
     )
     log = read_log(path, sampling_time=sampling_time, format=format, lenient=True)
     given = {"input": inputs, "output": outputs, "disturbance": disturbances}
@@ -83,7 +89,7 @@ def inspect_log(
     return summarise(path.name, recording, columns, sampling, [*_notes(log, guesses)])
 
 
-def _time_column(path: Path) -> str:
+def time_column_of(path: Path) -> str:
     """Return the header of the time: the first column that is called so; empty where none is."""
     if path.suffix == PARQUET:
         headers = [str(name) for name in load_pyarrow().parquet.read_schema(path).names]
@@ -103,7 +109,9 @@ def _require_columns(log: Log, given: Mapping[str, Sequence[str]]) -> None:
     for role, names in given.items():
         for name in names:
             if name not in log.names:
-                faults.append(f'--{role} {name}: {log.files[0]} has no such column; {did_you_mean(name, log.names)}')
+                faults.append(
+                    f"--{role} {name}: {log.files[0]} has no such column; {did_you_mean(name, log.names)}"
+                )
             elif name in seen:
                 faults.append(f"--{role} {name}: it is given as --{seen[name]} already")
             else:

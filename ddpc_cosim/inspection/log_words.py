@@ -101,7 +101,11 @@ def _hindrances(evidence: Evidence) -> Iterator[str]:
         if not columns:
             yield f"no {kind} is known; name it by --{kind}"
         for still in (column for column in columns if column.constant):
-            yield f'the {kind} "{still.name}" stands still' if not still.empty else f'the {kind} "{still.name}" is empty'
+            yield (
+                f'the {kind} "{still.name}" stands still'
+                if not still.empty
+                else f'the {kind} "{still.name}" is empty'
+            )
     if not inputs or not outputs or all(c.constant for c in inputs) or all(c.constant for c in outputs):
         return
     relations = evidence.relations
@@ -197,7 +201,9 @@ def _advice(evidence: Evidence) -> Iterator[str]:
     if not relations.pairs and not any(c.constant for c in inputs):
         return
     hold = max(1, round(relations.answer / 5)) if relations.answer else 1
-    length = math.ceil(max(_MORE_SAMPLES * evidence.order_needed * (len(inputs) + 1), _ANSWERS * relations.answer))
+    length = math.ceil(
+        max(_MORE_SAMPLES * evidence.order_needed * (len(inputs) + 1), _ANSWERS * relations.answer)
+    )
     pairs = {
         column.name: [pair for pair in relations.pairs if pair.input == column.name] for column in inputs
     }
@@ -255,7 +261,11 @@ def _advice(evidence: Evidence) -> Iterator[str]:
 
 
 def _hindrances_of_content(evidence: Evidence) -> bool:
-    return bool([*_hindrances(evidence)]) and bool(evidence.of_role("input")) and bool(evidence.of_role("output"))
+    return (
+        bool([*_hindrances(evidence)])
+        and bool(evidence.of_role("input"))
+        and bool(evidence.of_role("output"))
+    )
 
 
 def _instruments() -> str:
@@ -269,7 +279,7 @@ def _instruments() -> str:
     ]
     if names:
         return (
-            f'with these data use instrumental variables: type = {" or ".join(names)} with '
+            f"with these data use instrumental variables: type = {' or '.join(names)} with "
             f'settings.instruments = "{_INSTRUMENTS}"'
         )
     return "with these data use a method with instrumental variables, or one that fits a model one step ahead"
@@ -350,7 +360,11 @@ def _movement(evidence: Evidence) -> Table:
             column.name,
             (
                 Cell(str(column.moves), column.moves),
-                Cell(evidence.in_time(round(evidence.sampling.rows / column.moves)) if column.moves else "never"),
+                Cell(
+                    evidence.in_time(round(evidence.sampling.rows / column.moves))
+                    if column.moves
+                    else "never"
+                ),
                 Cell(f"{column.minimum:.4g}", column.minimum),
                 Cell(f"{column.maximum:.4g}", column.maximum),
                 Cell(f"{column.deviation:.3g}", column.deviation),
@@ -439,7 +453,12 @@ def _predictions(evidence: Evidence) -> Table:
     )
 
     def cells(errors: Sequence[float]) -> list[Cell]:
-        return [Cell(f"{errors[k - 1]:.3f}" if k <= len(errors) else "", errors[k - 1] if k <= len(errors) else "") for k in steps]
+        return [
+            Cell(
+                f"{errors[k - 1]:.3f}" if k <= len(errors) else "", errors[k - 1] if k <= len(errors) else ""
+            )
+            for k in steps
+        ]
 
     rows = []
     for method in predictions.methods:

@@ -74,13 +74,17 @@ class LogSummary:
             jitter = "even" if sampling.is_even else f"jitter {sampling.jitter:.3g} s (root mean square)"
             facts["sampling"] = f"every {sampling.sampling_time:.9g} s in the median, {jitter}"
             facts["length"] = evidence.time_of(sampling.rows + sampling.missing_rows)
-            facts["gaps"] = f"{sampling.gaps}, {sampling.missing_rows} rows missing" if sampling.gaps else "none"
+            facts["gaps"] = (
+                f"{sampling.gaps}, {sampling.missing_rows} rows missing" if sampling.gaps else "none"
+            )
             facts["duplicates"] = str(sampling.duplicates) if sampling.duplicates else "none"
         if evidence.relations.pairs:
             least = " at least" if evidence.order == evidence.order_limit else ""
             facts["excitation"] = f"persistent of order {evidence.order}{least}"
         if evidence.relations.answer:
-            facts["settles"] = f"within {evidence.in_time(evidence.relations.answer)} (95 % of the slowest response)"
+            facts["settles"] = (
+                f"within {evidence.in_time(evidence.relations.answer)} (95 % of the slowest response)"
+            )
         return facts
 
     def as_data(self) -> dict[str, Any]:

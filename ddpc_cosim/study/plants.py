@@ -337,8 +337,7 @@ class PlantSpec:
         elif self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
-            model = self.identified and partial(self.identified.open, self.start, seed, records=records)
-            plant = PythonPlant(model or self._plugin(), inputs, self.start)
+            plant = PythonPlant(self._maker(seed, records=records), inputs, self.start)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = with_nominal(plant.inputs, self.nominal)
@@ -347,6 +346,17 @@ class PlantSpec:
             name: switch for name, switch in self.switches.items() if name in inputs and switch not in inputs
         }
         return plant
+
+    def _maker(self, seed: int, *, records: bool) -> Callable[[], Plant]:
+        """Return what makes the plant, by a name for errors: a class, or a model of an ensemble."""
+        if not self.identified:
+            return self._plugin()
+        identified = self.identified
+
+        def identified_plant() -> Plant:
+            return identified.open(self.start, seed, records=records)
+
+        return identified_plant
 
     def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         from ddpc_cosim.fmu.plant import FMUPlant

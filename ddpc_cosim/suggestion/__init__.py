@@ -34,7 +34,7 @@ from ddpc_cosim.suggestion.buildings import Building, as_proposed, in_use, short
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import ScaledGains, recording_length, suggested_controllers
 from ddpc_cosim.suggestion.joining import Joined, join
-from ddpc_cosim.suggestion.logs import LoggedSystem
+from ddpc_cosim.suggestion.logs import SUFFIXES, LoggedSystem
 from ddpc_cosim.suggestion.operating_point import TestedPlant, TriedPoint, find, sampling_time_of
 from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.quantities import plausible_outputs
@@ -78,7 +78,6 @@ def suggest_study(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     disturbances: Sequence[str] = (),
-    columns: Mapping[str, str] | None = None,
     at: OperatingPoint | None = None,
     ranges: Mapping[str, AskedRange] | None = None,
     sampling_time: float | None = None,
@@ -101,8 +100,6 @@ def suggest_study(
         Signals to use; default: those that the step test shows to be of use, of logs what they are called.
     disturbances : sequence of str
         Signals of logs that act on the plant and that no controller drives.
-    columns : mapping of str to str, optional
-        Headers of the columns of logs that are not called as their signals.
     at : mapping of str to number or str, path, or several of them, optional
         The operating point: levels of inputs, parameters and start values, by name, with or without a unit
         (``"20 degC"``), or a file of them; default: the FMU's own.
@@ -138,14 +135,14 @@ def suggest_study(
     if library_path and (len(paths) > 1 or path.suffix.lower() == ".ssp"):
         raise ConfigError(f"{label}: library_path is of one FMU, and this is a system of several")
     libraries = [str(Path(library).resolve()) for library in library_path]
-    logs = _logs(paths, label)
-    if not logs and (disturbances or columns):
-        raise ConfigError(f"{label}: disturbances and columns are of logs, and this is none")
+    logs = _are_logs(paths)
+    if disturbances and not logs:
+        raise ConfigError(f"{label}: disturbances are named of logs; an FMU's are found by trying")
     joined = _joined(paths) if len(paths) > 1 and not logs else None
     system: System | LoggedSystem | None
     with demanded(sandbox):
         if logs:
-            system = LoggedSystem.of(logs, inputs, outputs, disturbances, columns or {}, sampling_time)
+            system = LoggedSystem.of(paths, inputs, outputs, disturbances, sampling_time)
         else:
             system = System(joined.section, joined.experiment) if joined else _archive(path)
         for file in system.files if system else (path,):
@@ -295,6 +292,14 @@ def _relative(fmu: Path, folder: Path) -> str:
 def _archive(path: Path) -> System | None:
     is_archive = path.suffix.lower() == ".ssp"
     return System(PlantSection(ssp=str(path.resolve()))) if is_archive else None
+
+
+def _are_logs(paths: Sequence[Path]) -> bool:
+    """Whether files are logs; ConfigError: some are, others are not."""
+    logs = [path.name for path in paths if path.suffix.lower() in SUFFIXES]
+    if logs and len(logs) < len(paths):
+        raise ConfigError(f"{', '.join(logs)}: a log is a plant by itself; give logs alone, or FMUs only")
+    return bool(logs)
 
 
 def _joined(paths: Sequence[Path]) -> Joined:

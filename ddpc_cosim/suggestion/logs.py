@@ -8,7 +8,6 @@ from typing import Self
 
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.log_format import LogFormat
-from ddpc_cosim.files.texts import counted
 from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.inspection.log_files import inspect_log, time_column_of
 from ddpc_cosim.study.file_format.sections import ControllerSection, PlantSection, RecordingSection
@@ -20,7 +19,7 @@ from ddpc_cosim.suggestion.writing import Proposal
 
 SUFFIXES = (".csv", ".txt", ".parquet")
 """Of files that are logs."""
-_RECORDED, _IDENTIFIED = (0.0, 0.5), (0.5, 1.0)
+_RECORDED, _IDENTIFIED = [0.0, 0.5], [0.5, 1.0]
 """Parts of the rows that controllers learn from, and that the plant is identified from."""
 _MENDED = LogFormat(gaps="split", missing=3, duplicates="first")
 """How a log is read that is refused as it is."""
@@ -107,7 +106,9 @@ class LoggedSystem:
         for role in ("input", "output"):
             if not roles[role]:
                 known = ", ".join(column.name for column in summary.evidence.columns)
-                raise ConfigError(f"{files[0]}: which column is an {role} is not clear; --{role} says it: {known}")
+                raise ConfigError(
+                    f"{files[0]}: which column is an {role} is not clear; --{role} says it: {known}"
+                )
         identification = Identification(
             file=[str(file.resolve()) for file in files],
             disturbances=roles["disturbance"],
@@ -125,9 +126,15 @@ class LoggedSystem:
             return cls(replace(identification, **mended), *signals, said, in_closed_loop=closed)
 
     def request(self, asked: Request) -> Request:
-        """Return what is asked for: signals go as far as in the logs where nothing else is said."""
+        """Return what is asked for: samples as far apart and signals going as far as in the logs."""
         ranges = {name: self.ranges[name] for name in (*self._inputs, *self._outputs)}
-        return replace(asked, ranges={**ranges, **asked.ranges}, inputs=self._inputs, outputs=self._outputs)
+        return replace(
+            asked,
+            ranges={**ranges, **asked.ranges},
+            sampling_time=self.description.fixed_step,
+            inputs=self._inputs,
+            outputs=self._outputs,
+        )
 
     @property
     def roles(self) -> Roles:
@@ -176,13 +183,14 @@ class LoggedSystem:
             name: origin if name in proposal.asked.ranges and origin != "as asked for" else "the log's range"
             for name, origin in proposal.origins.items()
         }
-        controllers = {
-            key: self._told(controller) for key, controller in proposal.study.controllers.items()
+        controllers = {key: self._told(controller) for key, controller in proposal.study.controllers.items()}
+        comments = {
+            **proposal.comments,
+            **{
+                key: (*texts, *(() if key in ("recording", "bounds") else proposal.comments.get(key, ())))
+                for key, texts in said.items()
+            },
         }
-        comments = {**proposal.comments, **{
-            key: (*texts, *(() if key in ("recording", "bounds") else proposal.comments.get(key, ())))
-            for key, texts in said.items()
-        }}
         return replace(
             proposal.changed(recording=recording, seeds=_SEEDS, controllers=controllers, plant=plant),
             comments=comments,

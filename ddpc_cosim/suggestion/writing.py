@@ -107,6 +107,9 @@ def study_text(proposal: Proposal, *fmus: str) -> str:
     if study.plant.parts:
         parts = [replace(part, fmu=fmu) for part, fmu in zip(study.plant.parts, fmus, strict=True)]
         plant = replace(study.plant, parts=parts)
+    elif study.plant.identified:
+        plant = replace(study.plant, identified=replace(study.plant.identified, file=[*fmus]))
+        study = replace(study, recording=study.recording and replace(study.recording, file=[*fmus]))
     else:
         (fmu,) = fmus
         plant = replace(study.plant, fmu=fmu) if study.plant.fmu else replace(study.plant, ssp=fmu)

@@ -1,4 +1,4 @@
-"""``ddpc-cosim init``: a study for a supplied FMU, from what is tried on it."""
+"""``ddpc-cosim init``: a study for a supplied FMU, or for logs, from what is tried on it."""
 
 import warnings
 from pathlib import Path
@@ -21,6 +21,9 @@ def init(
         (), "Drive this input; may be repeated.", name="--input", metavar="NAME"
     ),
     outputs: tuple[str, ...] = option((), "Control this; may be repeated.", name="--output", metavar="NAME"),
+    disturbances: tuple[str, ...] = option(
+        (), "A column of a log that acts from outside; may be repeated.", name="--disturbance", metavar="NAME"
+    ),
     at: tuple[str, ...] = option(
         (),
         "Level of an input, or a parameter, or a file of them; may be repeated.",
@@ -45,7 +48,7 @@ def init(
     sandbox: bool = options.SANDBOX,
     library_path: tuple[Path, ...] = options.LIBRARY_PATH,
 ) -> int:
-    """Write a study for an FMU, an SSP, or FMUs that it connects, with controllers that were tried on it."""
+    """Write a study for an FMU, an SSP, FMUs that it connects, or logs, with controllers that were tried on it."""
     from ddpc_cosim.suggestion.values import number_or_text
 
     files = [Path(text) for text in at if "=" not in text and text.lower().endswith(_TABLES)]
@@ -61,6 +64,7 @@ def init(
             fmus,
             inputs=list(inputs) or None,
             outputs=list(outputs) or None,
+            disturbances=disturbances,
             at=[*files, levels],
             ranges=limits,
             sampling_time=sampling_time,

@@ -16,9 +16,7 @@ _LOGS = (".csv", ".parquet", ".txt", ".tsv")
 
 @command
 def inspect(
-    file: Path = argument(
-        type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp|LOG.csv"
-    ),
+    file: Path = argument(type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp|LOG.csv"),
     as_json: bool = JSON,
     strict: bool = option(False, "FMPy's full validation too; slow with thousands of variables."),
     library_path: tuple[Path, ...] = LIBRARY_PATH,
@@ -72,7 +70,9 @@ def _inspect_model(
         else inspect_fmu(file, strict=strict, library_path=library_path, tell=tell)
     )
     if as_json:
-        _print_json(as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection))
+        _print_json(
+            as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
+        )
     elif (console := Console()).is_terminal:
         print_tables(console, inspection, every=every)
     else:
