@@ -1,4 +1,4 @@
-"""Files of logged data: which columns are inputs, outputs and disturbances, and what the whole is good for."""
+"""Files of logged data: which columns are inputs, outputs and disturbances; what the whole is good for."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -63,10 +63,8 @@ def inspect_log(
     ConfigError
         A name is not that of a column, or given for two roles; all of them at once.
     """
-    format = LogFormat(
-        time_column=time_column_of(path), gaps="split", resample="no" if sampling_time is None else "mean"
-    )
-    log = read_log(path, sampling_time=sampling_time, format=format, lenient=True)
+    format = LogFormat(time_column=time_column_of(path), resample="no" if sampling_time is None else "mean")
+    log = read_log(path, sampling_time=sampling_time, format=format, held=inputs, lenient=True)
     given = {"input": inputs, "output": outputs, "disturbance": disturbances}
     _require_columns(log, given)
     guesses = _guessed(log, given)
@@ -147,7 +145,7 @@ def _guess(variable: Variable, values: FloatArray) -> _Guess:
         return _Guess("", "it never moves")
     held = float(np.mean(np.diff(known) == 0.0)) if len(known) > 1 else 0.0
     stays = f"{100 * held:.0f} % of its rows are as the row before"
-    if setpoint(wording) and not wording.says_driven:
+    if setpoint(wording):
         return _Guess("", "it is called a setpoint")
     points, reasons = wording.disturbance()
     if points >= CERTAIN:
@@ -156,6 +154,8 @@ def _guess(variable: Variable, values: FloatArray) -> _Guess:
         return _Guess("input", "it is called, or has the unit of, what is driven")
     if is_reading(variable):
         return _Guess("output", "it is called what one reads")
+    if variable.unit == "%":
+        return _Guess("input", "it is in % and not called what one reads")
     if held > _HELD:
         return _Guess("input", stays)
     return _Guess("output", f"only {stays}")
