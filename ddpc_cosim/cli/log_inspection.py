@@ -15,7 +15,9 @@ _MOST_ROWS, _LONGEST_NAME, _LONGEST_CELL = 20, 30, 10_000
 
 def print_summary(console: Console, summary: LogSummary, *, every: bool) -> None:
     """Print what a log is good for on a terminal, long tables in part unless every row is wanted."""
-    console.print(Text(printable(summary.verdict, _LONGEST_CELL), "bold green" if summary.good else "bold red"))
+    console.print(
+        Text(printable(summary.verdict, _LONGEST_CELL), "bold green" if summary.good else "bold red")
+    )
     for text in summary.reservations:
         console.print(Text.assemble(("but: ", "yellow"), printable(text, _LONGEST_CELL)))
     for text in summary.advice:
@@ -49,7 +51,9 @@ def summary_lines(summary: LogSummary) -> Iterator[str]:
     for table in summary.tables:
         first, *headings = (heading.words for heading in table.headings)
         for row in table.rows:
-            cells = (f"{words} {cell.text}" for words, cell in zip(headings, row.cells, strict=True) if cell.text)
+            cells = (
+                f"{words} {cell.text}" for words, cell in zip(headings, row.cells, strict=True) if cell.text
+            )
             yield _line(first, row.header, *cells)
     yield from (_line("note", note) for note in summary.notes)
 

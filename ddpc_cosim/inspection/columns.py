@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +204,7 @@ class _Stretches:
 def _limits(
     known: FloatArray, rows: NDArray[np.intp], distinct: FloatArray, stretches: _Stretches
 ) -> tuple[float, float, int]:
-    """Return the shares of samples at the smallest and the largest value if it stays there, and where first."""
+    """Return the shares of samples at the smallest and largest value if it stays there; where first."""
     shares, firsts = [], []
     for extreme, beside in ((distinct[0], distinct[1]), (distinct[-1], distinct[-2])):
         there, longest = known == extreme, stretches.length[stretches.value == extreme].max()
@@ -257,7 +258,7 @@ def sampling_facts(time: FloatArray) -> SamplingFacts:
 
 def whole_pieces(time: FloatArray, values: FloatArray, seams: Sequence[int] = ()) -> list[slice]:
     """Return the stretches of rows in which no cell is missing and no row, in their order."""
-    there = np.isfinite(values).all(axis=1)
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
     breaks = {*seams}
     if len(time) > 1 and np.isfinite(time).all():
         apart = np.diff(time)
@@ -266,4 +267,4 @@ def whole_pieces(time: FloatArray, values: FloatArray, seams: Sequence[int] = ()
         breaks |= set((np.flatnonzero((apart > _GAP * usual) | (apart <= 0.0)) + 1).tolist())
     edges = np.flatnonzero(np.diff(there.astype(np.int8))) + 1
     ends = sorted(breaks | set(edges.tolist()) | {0, len(there)})
-    return [slice(i, j) for i, j in zip(ends, ends[1:], strict=False) if j > i and there[i]]
+    return [slice(i, j) for i, j in pairwise(ends) if j > i and there[i]]

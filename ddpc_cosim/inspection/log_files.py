@@ -1,4 +1,4 @@
-"""Files of logged data: which columns are inputs, outputs and disturbances, and what the whole is good for."""
+"""Files of logged data: which columns are inputs, outputs and disturbances; what the whole is good for."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,13 @@ from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.csv_files import PARQUET, CSVFile, load_pyarrow, split_unit
 from ddpc_cosim.files.logs import Log, LogFormat, read_log
-from ddpc_cosim.inspection.columns import ColumnFacts, SamplingFacts, column_facts, sampling_facts, whole_pieces
+from ddpc_cosim.inspection.columns import (
+    ColumnFacts,
+    SamplingFacts,
+    column_facts,
+    sampling_facts,
+    whole_pieces,
+)
 from ddpc_cosim.inspection.logs import LogSummary, summarise
 from ddpc_cosim.suggestion.words import CERTAIN, Wording, is_reading, setpoint, vocabulary, words_of
 from ddpc_cosim.variables import FloatArray, Variable
@@ -103,7 +109,9 @@ def _require_columns(log: Log, given: Mapping[str, Sequence[str]]) -> None:
     for role, names in given.items():
         for name in names:
             if name not in log.names:
-                faults.append(f'--{role} {name}: {log.files[0]} has no such column; {did_you_mean(name, log.names)}')
+                faults.append(
+                    f"--{role} {name}: {log.files[0]} has no such column; {did_you_mean(name, log.names)}"
+                )
             elif name in seen:
                 faults.append(f"--{role} {name}: it is given as --{seen[name]} already")
             else:
@@ -148,6 +156,8 @@ def _guess(variable: Variable, values: FloatArray) -> _Guess:
         return _Guess("input", "it is called, or has the unit of, what is driven")
     if is_reading(variable):
         return _Guess("output", "it is called what one reads")
+    if variable.unit == "%":
+        return _Guess("input", "it is in % and not called what one reads")
     if held > _HELD:
         return _Guess("input", stays)
     return _Guess("output", f"only {stays}")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ddpc_cosim.files.durations import about
+from ddpc_cosim.files.durations import about, shown
 from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.inspection.columns import ColumnFacts, SamplingFacts
 from ddpc_cosim.inspection.predictions import Predictions
@@ -20,6 +20,7 @@ _ANSWERS = 10  # of the plant, that an experiment is long
 _SAMPLES_OF_ANSWER = (4, 100)
 _DITHER = 0.5  # of an input's deviation
 _MOST_LISTED = 3
+_ROUNDED = 7200.0  # s: longer times are told roughly
 _INSTRUMENTS = "closed-loop"
 _SHOWN_STEPS = (1, 2, 3, 5, 10, 15, 20, 30, 40)
 
@@ -62,7 +63,9 @@ class Evidence:
     def time_of(self, samples: float) -> str:
         """Return how long so many samples take; empty where the log has no times."""
         seconds = samples * self.sampling.sampling_time
-        return about(seconds) if math.isfinite(seconds) else ""
+        if not math.isfinite(seconds):
+            return ""
+        return shown(seconds) if seconds < _ROUNDED else about(seconds)
 
     def in_time(self, samples: int) -> str:
         """Return a number of samples, and how long they take."""
@@ -90,8 +93,8 @@ def verdict(evidence: Evidence) -> tuple[bool, str, tuple[str, ...]]:
     n, best = evidence.good_up_to, evidence.predictions.best
     beyond = "; no further was tested" if n == evidence.horizon else ""
     with_method = f" (best: {best.name})" if best else ""
-    text = f"Good enough for predictive control with a horizon of up to {evidence.in_time(n)}{with_method}{beyond}"
-    return True, text + (", with reservations." if reservations else "."), reservations
+    text = f"Good enough for predictive control with a horizon of up to {evidence.in_time(n)}"
+    return True, text + with_method + beyond + (", with reservations." if reservations else "."), reservations
 
 
 def _hindrances(evidence: Evidence) -> Iterator[str]:
@@ -101,7 +104,11 @@ def _hindrances(evidence: Evidence) -> Iterator[str]:
         if not columns:
             yield f"no {kind} is known; name it by --{kind}"
         for still in (column for column in columns if column.constant):
-            yield f'the {kind} "{still.name}" stands still' if not still.empty else f'the {kind} "{still.name}" is empty'
+            yield (
+                f'the {kind} "{still.name}" stands still'
+                if not still.empty
+                else f'the {kind} "{still.name}" is empty'
+            )
     if not inputs or not outputs or all(c.constant for c in inputs) or all(c.constant for c in outputs):
         return
     relations = evidence.relations
@@ -137,9 +144,10 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
             f"recorded in closed loop: past outputs say what {_listed(closed)} did next{from_} (they explain "
             f"{100 * worst.share:.0f} % of what its own past leaves open; by chance with probability "
             f"{_chance(worst.chance)}), or both follow something that is not in the log. What this biases: a "
-            "method that predicts from windows of samples (DeePC, SPC and their kin) takes the noise that the "
-            "controller answered for an effect of the input, the more so the more noise there is; gains and "
-            "dead times here, and models fitted one step ahead, are free of that as far as the model fits"
+            "method that predicts from windows of samples (DeePC, SPC and their kin) takes the noise that "
+            "the controller answered for an effect of the input, the more so the more noise there is, and "
+            "its errors here do not show it, as the samples held out are of the same loop; gains and dead "
+            "times here, and models fitted one step ahead, are free of that as far as the model fits"
         )
     for column in evidence.columns:
         if not column.role:
@@ -155,7 +163,8 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
         for share, value in ((column.low, column.minimum), (column.high, column.maximum)):
             if share:
                 yield (
-                    f"{signal} is at its limit of {_value(value, column)} for {100 * share:.1f} % of the samples"
+                    f"{signal} is at its limit of {_value(value, column)} for {100 * share:.1f} % of the "
+                    "samples"
                 )
         if column.is_coarse:
             part = 100 * column.step / column.deviation
@@ -168,20 +177,21 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
     sampling = evidence.sampling
     if sampling.gaps:
         yield (
-            f"{sampling.missing_rows} rows are missing in {sampling.gaps} gap{'s' * (sampling.gaps > 1)}, the "
-            f"longest of {about(sampling.longest_gap)}; nothing is learned across them"
+            f"{sampling.missing_rows} rows are missing in {sampling.gaps} "
+            f"gap{'s' * (sampling.gaps > 1)}, the longest of {about(sampling.longest_gap)}; nothing is learned "
+            "across them"
         )
     if sampling.duplicates:
-        yield f"{sampling.duplicates} rows have the time of the row before, the first is row {sampling.first_duplicate + 1}"
+        first = sampling.first_duplicate + 1
+        yield f"{sampling.duplicates} rows have the time of the row before, the first is row {first}"
     if sampling.backwards:
         yield f"{sampling.backwards} rows are earlier than the row before"
     if math.isfinite(sampling.jitter) and not sampling.is_even:
         part = 100 * sampling.jitter / sampling.sampling_time
         yield f"rows are unevenly apart: the time between them varies by {part:.2g} % (root mean square)"
-    if evidence.order < evidence.order_needed and evidence.relations.pairs:
-        more = f"at least {evidence.order}" if evidence.order == evidence.order_limit else str(evidence.order)
+    if evidence.order < min(evidence.order_needed, evidence.order_limit) and evidence.relations.pairs:
         yield (
-            f"inputs are persistently exciting of order {more}; DeePC with a horizon of "
+            f"inputs are persistently exciting of order {evidence.order}; DeePC with a horizon of "
             f"{evidence.horizon} needs {evidence.order_needed}"
         )
 
@@ -197,7 +207,9 @@ def _advice(evidence: Evidence) -> Iterator[str]:
     if not relations.pairs and not any(c.constant for c in inputs):
         return
     hold = max(1, round(relations.answer / 5)) if relations.answer else 1
-    length = math.ceil(max(_MORE_SAMPLES * evidence.order_needed * (len(inputs) + 1), _ANSWERS * relations.answer))
+    length = math.ceil(
+        max(_MORE_SAMPLES * evidence.order_needed * (len(inputs) + 1), _ANSWERS * relations.answer)
+    )
     pairs = {
         column.name: [pair for pair in relations.pairs if pair.input == column.name] for column in inputs
     }
@@ -210,7 +222,8 @@ def _advice(evidence: Evidence) -> Iterator[str]:
         elif not any(pair.acts for pair in pairs[column.name]):
             yield (
                 f'move "{column.name}" further or more often: it moved {column.moves} times, by '
-                f"{_value(column.deviation, column)} (root mean square about its mean), and no output answered"
+                f"{_value(column.deviation, column)} (root mean square about its mean), and no output "
+                "answered"
             )
     if vague := [pair for pair in relations.pairs if pair.acts and _uncertainty(pair) > _SURE]:
         pair = max(vague, key=_uncertainty)
@@ -239,23 +252,27 @@ def _advice(evidence: Evidence) -> Iterator[str]:
             if column.name in closed
         )
         yield (
-            f"where the loop has to stay closed, add a random two-level signal to what the controller sets: plus "
-            f"or minus {sizes} (half of what it moves by now), held for {evidence.in_time(hold)}"
+            f"where the loop has to stay closed, add a random two-level signal to what the controller sets: "
+            f"plus or minus {sizes} (half of what it moves by now), held for {evidence.in_time(hold)}"
         )
         yield _instruments()
     low, high = _SAMPLES_OF_ANSWER
     answer = relations.answer
     if answer > high and (time := evidence.time_of(answer / 20)):
         yield (
-            f"sample more slowly: the outputs take {evidence.in_time(answer)} to settle; --sampling-time of about "
-            f"{time} gives 20 samples for it"
+            f"sample more slowly: the outputs take {evidence.in_time(answer)} to settle; --sampling-time of "
+            f"about {time} gives 20 samples for it"
         )
     elif 0 < answer < low:
         yield f"sample faster: the outputs have settled after {evidence.in_time(answer)}"
 
 
 def _hindrances_of_content(evidence: Evidence) -> bool:
-    return bool([*_hindrances(evidence)]) and bool(evidence.of_role("input")) and bool(evidence.of_role("output"))
+    return (
+        bool([*_hindrances(evidence)])
+        and bool(evidence.of_role("input"))
+        and bool(evidence.of_role("output"))
+    )
 
 
 def _instruments() -> str:
@@ -269,7 +286,7 @@ def _instruments() -> str:
     ]
     if names:
         return (
-            f'with these data use instrumental variables: type = {" or ".join(names)} with '
+            f"with these data use instrumental variables: type = {' or '.join(names)} with "
             f'settings.instruments = "{_INSTRUMENTS}"'
         )
     return "with these data use a method with instrumental variables, or one that fits a model one step ahead"
@@ -350,7 +367,11 @@ def _movement(evidence: Evidence) -> Table:
             column.name,
             (
                 Cell(str(column.moves), column.moves),
-                Cell(evidence.in_time(round(evidence.sampling.rows / column.moves)) if column.moves else "never"),
+                Cell(
+                    evidence.in_time(round(evidence.sampling.rows / column.moves))
+                    if column.moves
+                    else "never"
+                ),
                 Cell(f"{column.minimum:.4g}", column.minimum),
                 Cell(f"{column.maximum:.4g}", column.maximum),
                 Cell(f"{column.deviation:.3g}", column.deviation),
@@ -359,10 +380,10 @@ def _movement(evidence: Evidence) -> Table:
         )
         for column in (*evidence.of_role("input"), *evidence.of_role("disturbance"))
     )
+    least = " at least" if evidence.order and evidence.order == evidence.order_limit else ""
     note = (
         f"A move is a change from one row to the next by more than 1 % of the range. Together they are "
-        f"persistently exciting of order {evidence.order}"
-        f"{' at least' if evidence.order and evidence.order == evidence.order_limit else ''}; DeePC with a horizon of "
+        f"persistently exciting of order {evidence.order}{least}; DeePC with a horizon of "
         f"{evidence.horizon} needs {evidence.order_needed}."
     )
     return Table("movement", "How often and how far inputs moved", headings, rows, (note,))
@@ -422,8 +443,8 @@ def _feedback(evidence: Evidence) -> Table:
         for feedback in evidence.relations.feedback
     )
     note = (
-        "Whether outputs up to a sample explain its input beyond past inputs and known disturbances (F-test). "
-        "Closed: less probable than 1 % by chance, and 2 % explained at least."
+        "Whether outputs up to a sample explain its input beyond past inputs and known disturbances "
+        "(F-test). Closed: less probable than 1 % by chance, and 2 % explained at least."
     )
     return Table("feedback", "Closed loop or open", headings, rows, (note,))
 
@@ -439,7 +460,12 @@ def _predictions(evidence: Evidence) -> Table:
     )
 
     def cells(errors: Sequence[float]) -> list[Cell]:
-        return [Cell(f"{errors[k - 1]:.3f}" if k <= len(errors) else "", errors[k - 1] if k <= len(errors) else "") for k in steps]
+        return [
+            Cell(
+                f"{errors[k - 1]:.3f}" if k <= len(errors) else "", errors[k - 1] if k <= len(errors) else ""
+            )
+            for k in steps
+        ]
 
     rows = []
     for method in predictions.methods:

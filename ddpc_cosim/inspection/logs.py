@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.files.tables import Table
-from ddpc_cosim.inspection.columns import ColumnFacts, SamplingFacts, column_facts, sampling_facts
+from ddpc_cosim.inspection.columns import ColumnFacts, SamplingFacts, column_facts
 from ddpc_cosim.inspection.log_words import Evidence, advice, tables, verdict
 from ddpc_cosim.inspection.predictions import Predictions, predictions
 from ddpc_cosim.inspection.relations import Relations, relations
@@ -74,13 +74,17 @@ class LogSummary:
             jitter = "even" if sampling.is_even else f"jitter {sampling.jitter:.3g} s (root mean square)"
             facts["sampling"] = f"every {sampling.sampling_time:.9g} s in the median, {jitter}"
             facts["length"] = evidence.time_of(sampling.rows + sampling.missing_rows)
-            facts["gaps"] = f"{sampling.gaps}, {sampling.missing_rows} rows missing" if sampling.gaps else "none"
+            facts["gaps"] = (
+                f"{sampling.gaps}, {sampling.missing_rows} rows missing" if sampling.gaps else "none"
+            )
             facts["duplicates"] = str(sampling.duplicates) if sampling.duplicates else "none"
         if evidence.relations.pairs:
             least = " at least" if evidence.order == evidence.order_limit else ""
             facts["excitation"] = f"persistent of order {evidence.order}{least}"
         if evidence.relations.answer:
-            facts["settles"] = f"within {evidence.in_time(evidence.relations.answer)} (95 % of the slowest response)"
+            facts["settles"] = (
+                f"within {evidence.in_time(evidence.relations.answer)} (95 % of the slowest response)"
+            )
         return facts
 
     def as_data(self) -> dict[str, Any]:
@@ -195,9 +199,9 @@ def summarise(
         dead_time = max((pair.dead_time for pair in found.pairs if pair.acts), default=1)
         memory = min(max(_USUAL_MEMORY, dead_time + found.order - 1), _LONGEST_MEMORY)
         moved = np.hstack([part.u, part.d[:, np.ptp(part.d, axis=0) > 0.0]])
-        limit = max(_LARGEST_HANKEL // moved.shape[1], 1)
-        order = min(persistency_of_excitation(moved, limit, part.seams), limit)
         needed = memory + horizon + memory * recording.y.shape[1]
+        limit = max(_LARGEST_HANKEL // moved.shape[1], needed)
+        order = persistency_of_excitation(moved, limit, part.seams)
         part = part_of(recording, (memory + horizon) * signals, "predictions")
         still = any(bool((np.ptp(values, axis=0) == 0.0).any()) for values in (part.u, part.y))
         if found.pairs and not still:
@@ -205,7 +209,8 @@ def summarise(
         if len(part) < len(recording):
             notes.append(
                 f"gains and feedback rest on {found.samples}, predictions on {ahead.samples} of "
-                f"{len(recording)} samples, in {_STRETCHES} stretches spread over all of them; columns on all rows"
+                f"{len(recording)} samples, in {_STRETCHES} stretches spread over all of them; columns on "
+                "all rows"
             )
     evidence = Evidence(tuple(columns), sampling, order, needed, limit, found, ahead, horizon)
     good, text, reservations = verdict(evidence)

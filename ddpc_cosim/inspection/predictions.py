@@ -95,8 +95,14 @@ def predictions(recording: Any, horizon: int, memory: int) -> Predictions:
     if not hold:
         return Predictions()
     every = Predictions((), hold, mean, memory, len(recording))
-    methods = [method for plugin in installed("controllers") for method in _tested(plugin, recording, horizon, memory)]
-    methods.sort(key=lambda m: (not m.errors, -every.good_up_to(m), sum(m.errors) / max(len(m.errors), 1), m.name))
+    methods = [
+        method
+        for plugin in installed("controllers")
+        for method in _tested(plugin, recording, horizon, memory)
+    ]
+    methods.sort(
+        key=lambda m: (not m.errors, -every.good_up_to(m), sum(m.errors) / max(len(m.errors), 1), m.name)
+    )
     return Predictions(tuple(methods), hold, mean, memory, len(recording))
 
 
@@ -123,9 +129,7 @@ def _tested(plugin: Plugin, recording: Any, horizon: int, memory: int) -> Iterat
         yield Method(plugin.name, reason=f"{type(error).__name__}: {error}")
 
 
-def _naive(
-    y: FloatArray, seams: Sequence[int], horizon: int
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _naive(y: FloatArray, seams: Sequence[int], horizon: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the errors over the last quarter if the last value holds, and if it is the mean of the rest."""
     head = len(y) - max(1, round(_HELD_OUT * len(y)))
     size = np.where(y.std(axis=0) > 0.0, y.std(axis=0), 1.0)

@@ -2,9 +2,8 @@
 
 Dead times and gains are those of an autoregressive model with inputs for each output (L. Ljung, *System
 Identification*, 2nd edition, 1999, section 4.2), fitted by least squares. A gain's interval is that of E. C.
-Fieller, *Some problems in interval estimation*, Journal of the Royal Statistical Society B 16(2), 1954: it has
-no end where the data do not tell whether the output settles at all. A dead time's interval are the delays whose
-likelihood is not significantly less than the best one's.
+Fieller, *Some problems in interval estimation*, Journal of the Royal Statistical Society B 16(2), 1954: it
+has no end where the data do not tell whether the output settles at all.
 
 A loop was closed where past outputs say something of an input that its own past and the known disturbances do
 not (C. W. J. Granger, *Investigating causal relations by econometric models and cross-spectral methods*,
@@ -295,17 +294,26 @@ class _Model:
         return self._lags.profile(self._known(without=i), columns, self.order, self._wanted)
 
     def dead_time(self, i: int) -> tuple[int, int, int]:
-        """Return the most likely delay of an input, and the ends of its interval.
+        """Return the dead time of an input, and the ends of its interval.
 
-        With n coefficients from it on, a model of a shorter delay can have the same response, but for its end:
-        the interval is that of the first coefficient that is not zero.
+        Of the model's coefficients the first are left out as long as that is no worse by Schwarz's criterion:
+        the input begins to show with the first that is left. The interval goes from the earliest delay that
+        is nearly as likely as the best one to the latest before which no coefficient is significant.
         """
         from scipy.special import chdtri
 
-        left = self._profile(i)
-        ratio = self._lags.samples * np.log(left / left.min())
-        inside = 1 + np.flatnonzero(ratio <= chdtri(1, _LEVEL))
-        return self._delays[i], int(inside[0]), int(inside[-1])
+        n, samples = self.order, self._lags.samples
+        left, best = self._profile(i), self._delays[i]
+        likely = 1 + np.flatnonzero(samples * np.log(left / left.min()) <= chdtri(1, _LEVEL))
+        first, last = max(1, best - n), best + n - 1
+        known, begins = self._known(without=i), np.arange(first, last + 1)
+        logs = samples * np.log(
+            [self._lags.fit([*known, *self._lags.at(i, range(d, last + 1))], self._wanted)[2] for d in begins]
+        )
+        dead_time = int(begins[np.argmin(logs + (last - begins) * np.log(samples))])
+        worse = logs[1:] - logs[0] > chdtri(begins[1:] - first, _LEVEL)
+        latest = int(begins[np.argmax(worse)]) if worse.any() else int(begins[-1])
+        return dead_time, min(dead_time, int(likely[0])), max(dead_time, latest)
 
     def _of(self, i: int) -> NDArray[np.intp]:
         """Return the places of an input's coefficients."""

@@ -11,14 +11,13 @@ import click
 from ddpc_cosim.cli.options import JSON, LIBRARY_PATH, POSITIVE, PathType, argument, command, option
 from ddpc_cosim.errors import ConfigError
 
+_FILE = PathType(exists=True, dir_okay=False)
 _LOGS = (".csv", ".parquet", ".txt", ".tsv")
 
 
 @command
 def inspect(
-    file: Path = argument(
-        type=PathType(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp|LOG.csv"
-    ),
+    file: Path = argument(type=_FILE, metavar="FILE.fmu|FILE.ssp|LOG.csv"),
     as_json: bool = JSON,
     strict: bool = option(False, "FMPy's full validation too; slow with thousands of variables."),
     library_path: tuple[Path, ...] = LIBRARY_PATH,
@@ -37,7 +36,7 @@ def inspect(
     ),
     page: Path | None = option(None, "Of a log: write a page too.", name="--html", metavar="FILE"),
 ) -> int:
-    """Show what an FMU or an SSP is and what is wrong with it, or what a log is good for; 1 if it cannot serve."""
+    """Show what is in an FMU or SSP, or what a log is good for; exit with 1 if it cannot serve."""
     is_log = file.suffix.lower() in _LOGS
     of_logs = {
         "--input": inputs,
@@ -72,7 +71,9 @@ def _inspect_model(
         else inspect_fmu(file, strict=strict, library_path=library_path, tell=tell)
     )
     if as_json:
-        _print_json(as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection))
+        _print_json(
+            as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
+        )
     elif (console := Console()).is_terminal:
         print_tables(console, inspection, every=every)
     else:
