@@ -66,7 +66,7 @@ def inspect_log(
     format = LogFormat(
         time_column=_time_column(path), gaps="split", resample="no" if sampling_time is None else "mean"
     )
-    log = read_log(path, sampling_time=sampling_time, format=format, lenient=True)
+    log = read_log(path, sampling_time=sampling_time, format=format, held=inputs, lenient=True)
     given = {"input": inputs, "output": outputs, "disturbance": disturbances}
     _require_columns(log, given)
     guesses = _guessed(log, given)

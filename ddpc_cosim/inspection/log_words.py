@@ -178,8 +178,8 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
     if sampling.gaps:
         yield (
             f"{sampling.missing_rows} rows are missing in {sampling.gaps} "
-            f"gap{'s' * (sampling.gaps > 1)}, the longest of {about(sampling.longest_gap)}; nothing is learned "
-            "across them"
+            f"gap{'s' * (sampling.gaps > 1)}, the longest of {about(sampling.longest_gap)}; nothing "
+            "is learned across them"
         )
     if sampling.duplicates:
         first = sampling.first_duplicate + 1

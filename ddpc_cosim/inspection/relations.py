@@ -172,7 +172,7 @@ class _Lags:
         blocks = rest[places[:, :, np.newaxis], places[:, np.newaxis, :]] + ridge * np.eye(width)
         sides = rest[places, -1]
         explained = (sides * np.linalg.solve(blocks, sides[..., np.newaxis])[..., 0]).sum(axis=1)
-        return np.maximum(rest[-1, -1] - explained, np.finfo(float).tiny)
+        return np.asarray(np.maximum(rest[-1, -1] - explained, np.finfo(float).tiny))
 
     def beyond(self, known: Sequence[int]) -> FloatArray:
         """Return all regressors less what some of them explain, as the rows of a factor."""
