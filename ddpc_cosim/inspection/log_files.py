@@ -63,9 +63,7 @@ def inspect_log(
     ConfigError
         A name is not that of a column, or given for two roles; all of them at once.
     """
-    format = LogFormat(
-        time_column=_time_column(path), gaps="split", resample="no" if sampling_time is None else "mean"
-    )
+    format = LogFormat(time_column=_time_column(path), resample="no" if sampling_time is None else "mean")
     log = read_log(path, sampling_time=sampling_time, format=format, held=inputs, lenient=True)
     given = {"input": inputs, "output": outputs, "disturbance": disturbances}
     _require_columns(log, given)
@@ -147,7 +145,7 @@ def _guess(variable: Variable, values: FloatArray) -> _Guess:
         return _Guess("", "it never moves")
     held = float(np.mean(np.diff(known) == 0.0)) if len(known) > 1 else 0.0
     stays = f"{100 * held:.0f} % of its rows are as the row before"
-    if setpoint(wording) and not wording.says_driven:
+    if setpoint(wording):
         return _Guess("", "it is called a setpoint")
     points, reasons = wording.disturbance()
     if points >= CERTAIN:

@@ -8,8 +8,8 @@ switched at random.
 
 # %%
 # The heater gets warmer by 0.4 K for each percent of its power, with a time constant of 10 min and a dead
-# time of 2 min. Every 30 s its temperature is logged, which draughts disturb, beside the power that is held until
-# the next row.
+# time of 2 min. Every 30 s its temperature is logged, which draughts disturb, beside the power that is held
+# until the next row.
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What is found in logged data: planted faults, gains and dead times that are known, loops open and closed."""
+"""What is found in logged data: planted faults, known gains and dead times, loops open and closed."""
 
 import numpy as np
 import pytest
