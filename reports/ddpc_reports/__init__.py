@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ddpc_cosim import Picture, Simulation, StudyResults, Trace
+    from ddpc_cosim import LogSummary, Picture, Simulation, StudyResults, Trace
     from ddpc_cosim.files.tables import Table
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "write_differences",
     "write_json",
     "write_latex",
+    "write_log",
     "write_markdown",
     "write_report",
     "write_simulation",
@@ -150,6 +151,26 @@ def write_simulation(simulation: "Simulation", path: Path) -> Path:
     from ddpc_reports.simulation import write
 
     return write(simulation, path)
+
+
+def write_log(summary: "LogSummary", path: Path) -> Path:
+    """Write one HTML page about what logged data are good for.
+
+    Parameters
+    ----------
+    summary : LogSummary
+        What was found.
+    path : Path
+        The file to write; an existing one is replaced.
+
+    Returns
+    -------
+    path : Path
+        The file written.
+    """
+    from ddpc_reports.log import log_page
+
+    return _written(log_page(summary), path)
 
 
 class Pictures:

@@ -1,0 +1,95 @@
+"""``inspect LOG.csv``: roles given and guessed, what is printed, the page, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.inspection import logs
+
+from .test_logs import simulated
+
+
+@pytest.fixture(autouse=True)
+def _without_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no method be fitted, which takes most of the time, and is tested elsewhere."""
+    monkeypatch.setattr(logs, "predictions", lambda *_: logs.Predictions())
+
+
+def written(path: Path, missing: int = -1) -> Path:
+    u, y = simulated(1, samples=500)
+    outdoor = 10.0 + np.sin(np.arange(500) / 50.0) + 0.01 * np.random.default_rng(0).normal(size=500)
+    lines = ["time [s],valve [%],level [cm],T_outdoor [degC],setpoint [cm]"]
+    for k in range(500):
+        level = "" if k == missing else f"{y[k, 0]:.4f}"
+        lines.append(f"{60 * k},{50.0 + 10.0 * u[k, 0]:.3f},{level},{outdoor[k]:.3f},{k // 250}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def inspected(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["inspect", *map(str, arguments)])
+
+
+def test_roles_are_guessed_and_said_to_be(tmp_path: Path) -> None:
+    data = json.loads(inspected(written(tmp_path / "log.csv"), "--json").stdout)
+    roles = {column["name"]: column["role"] for column in data["columns"]}
+    assert roles == {"valve": "input", "level": "output", "T_outdoor": "disturbance", "setpoint": ""}
+    notes = " ".join(data["notes"])
+    assert "guessed to be inputs (--input says otherwise): valve" in notes
+    assert "taken for neither: setpoint: it is called a setpoint" in notes
+    assert data["sampling"]["sampling_time"] == 60.0
+
+
+def test_given_roles_count_and_nothing_is_guessed(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv")
+    data = json.loads(inspected(path, "--input", "valve", "--output", "level", "--json").stdout)
+    roles = {column["name"]: column["role"] for column in data["columns"]}
+    assert roles == {"valve": "input", "level": "output", "T_outdoor": "", "setpoint": ""}
+    assert not any("guessed" in note for note in data["notes"])
+    (pair,) = data["relations"]["pairs"]
+    assert pair["low"] <= 0.2 <= pair["high"]  # cm/%
+
+
+def test_the_first_line_is_the_verdict_and_decides_the_exit_code(tmp_path: Path) -> None:
+    result = inspected(written(tmp_path / "log.csv"))
+    first = result.stdout.splitlines()[0].split("\t")
+    assert first[0] == "not good"  # no method is fitted here
+    assert "no method can be fitted" in first[1]
+    assert result.exit_code == 1
+
+
+def test_an_empty_cell_is_counted_and_costs_its_row_alone(tmp_path: Path) -> None:
+    data = json.loads(inspected(written(tmp_path / "log.csv", missing=100), "--json").stdout)
+    level = next(column for column in data["columns"] if column["name"] == "level")
+    assert (level["missing"], level["first_missing"]) == (1, 100)
+    assert data["relations"]["samples"] > 300
+
+
+def test_the_page_says_the_verdict_and_needs_no_network(tmp_path: Path) -> None:
+    page = tmp_path / "log.html"
+    inspected(written(tmp_path / "<b>log.csv"), "--html", page)
+    text = page.read_text(encoding="utf-8")
+    assert "Not good enough for predictive control" in text
+    assert "What answers what" in text
+    assert "&lt;b&gt;log.csv" in text
+    assert "<b>log.csv" not in text
+    assert 'src="http' not in text
+
+
+def test_all_that_is_wrong_with_the_options_is_said_at_once(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv")
+    result = inspected(path, "--input", "valv", "--output", "level", "--disturbance", "level")
+    assert result.exit_code == 2
+    assert "--input valv" in result.stderr
+    assert "valve" in result.stderr
+    assert "--disturbance level: it is given as --output already" in result.stderr
+
+
+def test_options_of_models_are_not_for_logs(tmp_path: Path) -> None:
+    result = inspected(written(tmp_path / "log.csv"), "--strict")
+    assert result.exit_code == 2
+    assert "--strict: not for a log" in result.stderr
