@@ -1,7 +1,7 @@
 """Dates of loggers and spreadsheets as microseconds since 1970."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
@@ -17,6 +17,7 @@ NO_TIME = np.iinfo(np.int64).min
 _EPOCH = datetime(1970, 1, 1)
 _MICROSECOND = timedelta(microseconds=1)
 _QUARTER = 900 * 10**6  # within which no zone changes its offset
+_MOST_KEPT = 100_000
 _EXCEL = datetime(1899, 12, 30)
 _DATE = re.compile(
     r"(?P<first>\d{1,4})(?P<mark>[./-])(?P<second>\d{1,2})(?P=mark)(?P<third>\d{4}|\d{1,2})"
@@ -65,32 +66,23 @@ def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
         Where they are local times, unless they have an offset; empty: unknown.
     """
     order = _ORDERS.get(written, "")
-    of_parts: Callable[[str], datetime | None] = lambda cell: _from_parts(cell, order)  # noqa: E731
-    first, second = (_iso, of_parts) if cells and _iso(cells[0]) is not None else (of_parts, _iso)
-    moments = [first(cell) or second(cell) for cell in cells]
+    said = _Said(order)
+    moments = [said.moment(cell) for cell in cells]
     wrong = [i for i, moment in enumerate(moments) if moment is None]
     faults, remedy = {i: f'"{cells[i].strip()[:40]}" is not a date' for i in wrong}, ""
     if wrong:
         faults, remedy = _ambiguous([cells[i] for i in wrong], wrong, order) or (faults, _KNOWN)
-    known = [moment for moment in moments if moment is not None]
-    with_offset = sum(moment.tzinfo is not None for moment in known)
-    if with_offset and with_offset < len(known) and not time_zone:
-        usual = moments[0] is not None and moments[0].tzinfo is not None
+    instants = np.array([NO_TIME if moment is None else moment[0] for moment in moments], dtype=np.int64)
+    has_offset = np.array([moment is not None and moment[1] for moment in moments], dtype=bool)
+    local = ~has_offset & (instants > NO_TIME)
+    if has_offset.any() and local.any() and not time_zone:
+        usual = bool(has_offset[0])
         odd = {
             i: f'"{cells[i].strip()[:40]}" has {"no" if usual else "a"} time zone, and the first date has '
             f"{'one' if usual else 'none'}"
-            for i, moment in enumerate(moments)
-            if moment is not None and (moment.tzinfo is not None) != usual
+            for i in np.flatnonzero(local if usual else has_offset).tolist()
         }
         faults, remedy = faults | odd, 'time_zone = "Europe/Berlin", or where it was, says that of the others'
-    instants = np.full(len(cells), NO_TIME, dtype=np.int64)
-    at = [i for i, moment in enumerate(moments) if moment is not None]
-    instants[at] = [
-        ((moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)) - _EPOCH)
-        // _MICROSECOND
-        for moment in known
-    ]
-    local = np.array([moment is not None and moment.tzinfo is None for moment in moments], dtype=bool)
     if time_zone and local.any():
         for i in _to_universal(instants, local, time_zone):
             faults[i] = f'"{cells[i].strip()[:40]}" does not exist in {time_zone}, where an hour was left out'
@@ -138,6 +130,40 @@ def _iso(cell: str) -> datetime | None:
     with suppress(ValueError):
         return datetime.fromisoformat(cell.strip())
     return None
+
+
+class _Said:
+    """What dates in one way of writing say, each day and each time of the day being read once."""
+
+    def __init__(self, order: str) -> None:
+        self._order = order
+        self._days: dict[str, tuple[int, bool] | None] = {}
+        self._clocks: dict[str, tuple[int, bool] | None] = {}
+
+    def moment(self, cell: str) -> tuple[int, bool] | None:
+        """Return the microseconds since 1970 that a cell says, and whether it has an offset."""
+        day, mark, clock = cell.strip().partition(" ")
+        if not mark:
+            day, mark, clock = day.partition("T")
+        if day not in self._days:
+            self._days[day] = self._read(day)
+        begin = self._days[day]
+        if not mark or begin is None:
+            return begin
+        if clock not in self._clocks:
+            if len(self._clocks) >= _MOST_KEPT:
+                self._clocks.clear()
+            self._clocks[clock] = self._read(f"1970-01-01 {clock}")
+        since = self._clocks[clock]
+        return None if since is None else (begin[0] + since[0], since[1])
+
+    def _read(self, cell: str) -> tuple[int, bool] | None:
+        moment = _iso(cell) or _from_parts(cell, self._order)
+        if moment is None:
+            return None
+        has_offset = moment.tzinfo is not None
+        universal = moment.astimezone(UTC).replace(tzinfo=None) if has_offset else moment
+        return (universal - _EPOCH) // _MICROSECOND, has_offset
 
 
 def _from_parts(cell: str, order: str) -> datetime | None:

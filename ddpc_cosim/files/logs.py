@@ -373,6 +373,8 @@ class _Treatments:
 
     def _resampled(self, rows: _Rows) -> list[_Rows]:
         """Return pieces of samples one sampling time apart, made of rows at any times."""
+        if not rows.time.size or not np.isfinite(self._period):
+            return [rows]
         steps = np.diff(rows.time)
         step = np.nanmax([self._period, _usual([steps])])
         allowed = (self._format.time_tolerance + _INSTANTS) * step
