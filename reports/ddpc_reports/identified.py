@@ -31,10 +31,10 @@ def certainty_of_plant(
         return Markup("")
     if identified.members == 1 or ranking.seeds < 2:
         return Markup(
-            "One model of the plant was run, which is an estimate: how sure that makes one is open."
+            "The plant is an estimate, of which one model was run: how sure that makes one is open."
         )
     text = Markup(
-        "Each seed plays another model of the plant, which is an estimate: intervals allow for that."
+        "The plant is an estimate, and each seed plays another model of it: intervals allow for that."
     )
     if not (findings.leaders and findings.following):
         return text
