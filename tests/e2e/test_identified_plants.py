@@ -62,7 +62,7 @@ def test_three_controllers_on_a_plant_from_a_log(log: Path, tmp_path: Path) -> N
             "idle": "idle",
         },
         {"sampling_time": H, "duration": 600.0},
-        bounds=dict.fromkeys(PUMPS, {"min": 0.0, "max": 10.0}),
+        bounds={name: {"min": 0.0, "max": 10.0} for name in PUMPS},
         recording={
             "samples": 150,
             "excitation": {
