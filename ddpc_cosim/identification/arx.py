@@ -1,132 +1,174 @@
-"""An autoregressive model with inputs, by least squares.
+"""Autoregressive predictors with inputs, by least squares, and what they say about order and dead times.
 
-    y_k = sum_i A_i y_k-i + B_i u_k-i + E_i d_k-i + c + eps_k,    i = 1 ... lags
+    y_k = sum_i A_i y_k-i + B_i u_k-i + E_i d_k-i + c + eps_k,   i = 1 ... lags
 
-(L. Ljung, System Identification, 2nd ed., sections 4.2 and 7.3), realised in observer form.
+is linear in its coefficients, so that least squares finds the best without a search, and consistent for
+data of a closed loop, since what is left is white (L. Ljung, System Identification, 2nd ed., sections 7.3
+and 13.4). With enough lags it comes as close to any linear plant as one likes, at the price of more
+coefficients.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import DataError
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.predictor import Predictor, Refit, Samples
 from ddpc_cosim.variables import FloatArray
 
 MOST_LAGS = 20
-"""The most past samples that are tried."""
+_MOST_DELAY = 40
 _NEGLIGIBLE = 1e-10
-_EXACT = 1e-8
+_EXACT = 1e-8  # what is explained to so many parts of a signal's size counts as explained
+_ROWS_PER_COEFFICIENT = 3
+_ROWS_FOR_DELAYS = 20_000
 
 
-def fit_arx(recording: Recording, lags: int) -> InnovationModel:
-    """Fit an autoregressive model to a recording.
+def fit_arx(samples: Samples, lags: int) -> Predictor:
+    """Fit an autoregressive predictor to samples by least squares; see the module.
 
     Parameters
     ----------
-    recording : Recording
-        The data.
+    samples : Samples
+        The recording.
     lags : int
-        Number of past samples, 1 or more.
+        Number of past samples.
 
     Returns
     -------
-    model : InnovationModel
-        In observer form, about the inputs as they are on average, or near those where it cannot rest there.
+    predictor : Predictor
+        In observer form: n = lags p states.
 
     Raises
     ------
     DataError
-        There are fewer equations than coefficients.
+        There are fewer rows than coefficients.
     """
-    m, p = recording.u.shape[1], recording.y.shape[1]
-    signals, means, sizes = _standardised(recording)
-    width = signals.shape[1]
-    rows = explained_rows(recording, lags)
-    past = np.hstack([signals[rows - i] for i in range(1, lags + 1)])
-    known = np.hstack([past, np.ones((len(rows), 1))])
-    if len(rows) < known.shape[1]:
+    past, now = lagged(samples, lags)
+    if len(past) < past.shape[1]:
         raise DataError(
-            f"{len(rows)} samples have {lags} before them, and an ARX model with {lags} lags of "
-            f"{width} signals has {known.shape[1]} coefficients for each output: log longer, or lower lags"
+            f"{len(past)} samples have {lags} before them in their piece, and an ARX model with {lags} lags "
+            f"of {samples.z.shape[1] - 1} signals has {past.shape[1]} coefficients for each output: log "
+            "longer, or lower lags"
         )
     # Least norm: data of a plant with fewer lags leave coefficients free.
-    solution, *_ = np.linalg.lstsq(known, signals[rows, :p], rcond=_NEGLIGIBLE)
-    errors = (signals[rows, :p] - known @ solution) * sizes[:p]
-    covariance = errors.T @ errors / max(len(rows) - known.shape[1], 1)
-    by_lag = solution[:-1].reshape(lags, width, p).transpose(0, 2, 1)  # lag, output, signal
-    past_y, past_u, past_d = np.split(by_lag, [p, p + m], axis=2)
-    # In parts of the signals' sizes about their means, where it rests nearest to the means.
-    gain = np.hstack([np.eye(p) - past_y.sum(axis=0), -past_u.sum(axis=0), -past_d.sum(axis=0)])
-    rest, *_ = np.linalg.lstsq(gain, solution[-1], rcond=_EXACT)
-    y_0, u_0, d_0 = np.split(means + rest * sizes, [p, p + m])
-    past_y, past_u, past_d = np.split(by_lag * sizes[:p, np.newaxis] / sizes, [p, p + m], axis=2)
-    a = np.zeros((lags * p, lags * p))
-    a[:, :p] = past_y.reshape(lags * p, p)
-    a[:-p, p:] = np.eye((lags - 1) * p)
-    return InnovationModel(
-        a,
-        b=past_u.reshape(lags * p, m),
-        e=past_d.reshape(lags * p, -1) if past_d.size else np.zeros((lags * p, 0)),
-        k=a[:, :p].copy(),
-        c=np.eye(p, lags * p),
-        u_0=u_0,
-        y_0=y_0,
-        d_0=d_0,
-        covariance=covariance,
-        sampling_time=recording.sampling_time,
-        method="arx",
-    )
+    coefficients = np.asarray(np.linalg.lstsq(past, now, rcond=_NEGLIGIBLE)[0], dtype=np.float64)
+    return _in_observer_form(coefficients, lags)
 
 
-def choose_lags(recording: Recording, most: int = MOST_LAGS) -> int:
-    """Return the number of past samples that explains a recording best for its size.
+def linearised_arx(predictor: Predictor, samples: Samples) -> Refit:
+    """Return what an autoregressive predictor becomes where other errors had come to the same past."""
+    p = len(predictor.c)
+    lags = len(predictor.a) // p
+    past, _ = lagged(samples, lags)
+    by_lag = predictor.g[:, :-1].reshape(lags, p, -1).transpose(0, 2, 1).reshape(-1, p)
+    coefficients = np.vstack([by_lag, predictor.y_0])
+    rows = explained_rows(samples, lags)
+    values, vectors = np.linalg.eigh(past.T @ past)
+    seen = values > _NEGLIGIBLE * values[-1]
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
 
-    Schwarz's criterion, each output with noise of its own (G. Schwarz, Estimating the dimension of a model,
-    Annals of Statistics 6(2), 1978, doi:10.1214/aos/1176344136). All numbers are tried, not only until the
-    next one is worse: of a dead time nothing shows before the last of its samples. What is explained to eight
-    digits counts as explained.
+    def refit(errors: FloatArray) -> Predictor:
+        return _in_observer_form(coefficients + inverse @ (past.T @ errors[rows]), lags)
+
+    return refit
+
+
+def _in_observer_form(coefficients: FloatArray, lags: int) -> Predictor:
+    """Return the predictor with coefficients in the order of :func:`lagged`, shape (coefficients, p)."""
+    p = coefficients.shape[1]
+    by_lag = coefficients[:-1].reshape(lags, -1, p).transpose(0, 2, 1).reshape(lags * p, -1)
+    g = np.hstack([by_lag, np.zeros((lags * p, 1))])
+    return Predictor(np.eye(lags * p, k=p), g, np.eye(p, lags * p), coefficients[-1])
+
+
+def lagged(samples: Samples, lags: int) -> tuple[FloatArray, FloatArray]:
+    """Return what precedes the rows that have ``lags`` samples before them, and their outputs.
+
+    Returns
+    -------
+    past : array, shape (rows, lags (m + n_d + p) + 1)
+        The samples before, the newest first, and 1.
+    now : array, shape (rows, p)
+        The row's outputs.
     """
-    signals, _, _ = _standardised(recording)
-    p, width = recording.y.shape[1], signals.shape[1]
-    longest = max(len(piece) for piece in recording.pieces)
-    most = max((n for n in range(1, most + 1) if n < longest and _is_enough(recording, n, width)), default=1)
-    rows = explained_rows(recording, most)
-    # The newest first: a triangular factor shows what is left of the outputs after every number of lags.
-    known = [np.ones((len(rows), 1)), *(signals[rows - i] for i in range(1, most + 1)), signals[rows, :p]]
-    left = np.square(np.asarray(np.linalg.qr(np.hstack(known), mode="r"))[:, -p:])
+    rows = explained_rows(samples, lags)
+    signals = samples.z[:, :-1]
+    past = [signals[rows - i] for i in range(1, lags + 1)]
+    return np.hstack([*past, np.ones((len(rows), 1))]), samples.y[rows]
+
+
+def most_lags(samples: Samples, most: int = MOST_LAGS) -> int:
+    """Return how many lags leave enough rows for every coefficient; 1 at least, ``most`` at most."""
+    lengths = np.array([rows.stop - rows.start for rows in samples.stretches])
     lags = np.arange(1, most + 1)
-    variance = np.array([left[1 + n * width :].sum(axis=0) / len(rows) for n in lags.tolist()])
-    criterion = len(rows) * np.log(variance + _EXACT**2).sum(axis=1) + np.log(len(rows)) * lags * width * p
+    rows = np.maximum(lengths - lags[:, np.newaxis], 0).sum(axis=1)
+    enough = rows >= _ROWS_PER_COEFFICIENT * (lags * (samples.z.shape[1] - 1) + 1)
+    return int(lags[enough].max(initial=1))
+
+
+def choose_lags(samples: Samples) -> int:
+    """Return the number of lags that explains the outputs best for its coefficients.
+
+    Schwarz's criterion of the generalised variance (G. Schwarz, Annals of Statistics 6(2), 1978,
+    doi:10.1214/aos/1176344136). All numbers are tried, not only until the next is worse.
+    """
+    most = most_lags(samples)
+    past, now = lagged(samples, most)
+    width = samples.z.shape[1] - 1
+    # The constant first, then the newest: a triangular factor shows what every number of lags leaves.
+    ordered = np.hstack([past[:, -1:], past[:, :-1], now])
+    factor = triangular(ordered)[:, -now.shape[1] :]
+    lags = np.arange(1, most + 1)
+    criterion = [schwarz(factor[1 + n * width :], len(past), n * width * now.shape[1]) for n in lags.tolist()]
     return int(lags[np.argmin(criterion)])
 
 
-def explained_rows(recording: Recording, lags: int) -> NDArray[np.intp]:
-    """Return the rows that have so many before them in their piece.
+def choose_delays(samples: Samples) -> tuple[int, ...]:
+    """Return the dead time of every input: rows beyond the first after which no output shows it.
+
+    From autoregressive predictors without the newest samples of an input: Schwarz's criterion says how many
+    of them are not missed. An input that shows nowhere has none.
+    """
+    samples = samples.rows(slice(0, _ROWS_FOR_DELAYS))
+    most = most_lags(samples, _MOST_DELAY)
+    past, now = lagged(samples, most)
+    width, (m, _, p) = samples.z.shape[1] - 1, samples.counts
+    factor = triangular(np.hstack([past, now]))
+    delays = np.zeros(m, dtype=int)
+    for i in range(m):
+        without = np.ones(factor.shape[1], dtype=bool)
+        criterion = list[float]()
+        for delay in range(most + 1):
+            kept = factor[:, without]
+            left = triangular(kept)[-p:, -p:]
+            criterion.append(schwarz(left, len(past), -delay * p))
+            without[delay * width + i] = False
+        best = int(np.argmin(criterion))
+        delays[i] = best if best < most else 0
+    return tuple(delays.tolist())
+
+
+def triangular(matrix: FloatArray) -> FloatArray:
+    """Return the triangular factor of a matrix's QR decomposition."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"))
+
+
+def schwarz(left: FloatArray, rows: int, coefficients: int) -> float:
+    """Return Schwarz's criterion of what is left of the outputs, shape (any, p): the smaller the better."""
+    covariance = left.T @ left / rows + _EXACT**2 * np.eye(left.shape[1])
+    return float(rows * np.linalg.slogdet(covariance)[1] + np.log(rows) * coefficients)
+
+
+def explained_rows(samples: Samples, lags: int) -> NDArray[np.intp]:
+    """Return the rows that have so many before them in their stretch.
 
     Raises
     ------
     DataError
         There are none.
     """
-    first = np.array((0, *recording.seams))
-    begin = first[np.searchsorted(first, np.arange(len(recording)), side="right") - 1]
-    rows = np.flatnonzero(np.arange(len(recording)) - begin >= lags)
+    rows = np.concatenate([np.arange(rows.start + lags, rows.stop) for rows in samples.stretches])
     if not rows.size:
-        longest = max(len(piece) for piece in recording.pieces)
+        longest = max(rows.stop - rows.start for rows in samples.stretches)
         raise DataError(f"{lags} lags need pieces of {lags + 1} samples; the longest has {longest}")
     return rows
-
-
-def _is_enough(recording: Recording, lags: int, width: int) -> bool:
-    """Whether there are two equations for every coefficient."""
-    return len(explained_rows(recording, lags)) >= 2 * (1 + lags * width)
-
-
-def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return y, u and d side by side, off their means and in parts of their size; means; sizes."""
-    signals = np.hstack([recording.y, recording.u, recording.d])
-    means = signals.mean(axis=0)
-    sizes = signals.std(axis=0)
-    still = sizes <= _EXACT * np.abs(signals).max(axis=0)
-    return (signals - means) / np.where(still, 1.0, sizes), means, np.where(still, 1.0, sizes)

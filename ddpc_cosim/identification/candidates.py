@@ -1,22 +1,35 @@
-"""Models of a recording by several methods, each judged on a stretch that it has not seen."""
+"""Models of a recording by several methods, each judged on a stretch that it has not seen.
 
-from collections.abc import Callable
-from dataclasses import dataclass
+Of every method, the few orders that Schwarz's criterion likes best are judged by how well they predict up
+to a horizon. That is asked of blocks of the held-out stretch, so that what one model is better than another
+can be told from chance: a model that is not clearly better than a smaller one comes after it (T. Hastie, R.
+Tibshirani, J. Friedman, The Elements of Statistical Learning, 2nd ed., section 7.10: the rule of one
+standard error).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ddpc_cosim.controller import Recording
-from ddpc_cosim.errors import DataError
-from ddpc_cosim.identification.arx import choose_lags, fit_arx
-from ddpc_cosim.identification.innovation import InnovationModel, rows_of
+from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.identification.arx import choose_delays, choose_lags, most_lags, schwarz
+from ddpc_cosim.identification.fits import METHODS, MOST_STATES, Fit, sequence
+from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.prediction_error import refine, used_rows
+from ddpc_cosim.identification.predictor import Predictor, Samples
 from ddpc_cosim.variables import FloatArray
+from fmu_plants.spelling import did_you_mean
 
 HELD_OUT = 0.25
 """The last part of the data, on which models of the rest are judged."""
-_SHORTEST_BLOCK = 4
-"""Of a bootstrap, in numbers of states."""
-
-Fit = Callable[[Recording], InnovationModel]
+HORIZON = 20
+"""How many samples ahead models are judged."""
+_MOST_JUDGED = 5000  # rows of the held-out stretch
+_SHORTLIST = 3
+_BLOCKS = 8
+_EXACT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,113 +38,192 @@ class Candidate:
 
     Parameters
     ----------
-    method : str
-        Its name in study files: ``"arx"``.
-    order : int
-        What its size is told by: lags, or states.
+    fit : Fit
+        Makes its model of other data, by the same method, of the same order.
     model : InnovationModel
         Its model of all data.
-    fit : Fit
-        Makes its model of other data, of the same order.
+    errors : array, shape (horizon, p)
+        Root mean square error on the held-out stretch, of what is predicted 1 ... horizon samples ahead.
     held_out : array, shape (p,)
-        Share of each output's variance [%] on the held-out stretch that the simulation from its first state
-        explains: 100 is all, 0 what the mean explains.
-    error : float
-        Root of the mean over the outputs of what is not explained, by which candidates are ordered.
+        ``100 (1 - error / standard deviation)`` of each output there [%], over all of the horizon: 100 is all
+        explained, 0 as much as the mean explains.
+    by_block : array, shape (blocks,)
+        Error in blocks of the held-out stretch: geometric mean over horizon and outputs, in parts of the
+        outputs' standard deviations.
+    rows : int
+        Samples that a search for coefficients has used; the others are in the data, and left out of it.
     """
 
-    method: str
-    order: int
-    model: InnovationModel
     fit: Fit
+    model: InnovationModel
+    errors: FloatArray
     held_out: FloatArray
-    error: float
+    by_block: FloatArray
+    rows: int
+
+    @property
+    def method(self) -> str:
+        """Its name in study files: ``"arx"``."""
+        return self.fit.method
+
+    @property
+    def order(self) -> int:
+        """What its size is told by: lags, or states."""
+        return self.fit.order
+
+    @property
+    def error(self) -> float:
+        """Geometric mean of the errors in blocks."""
+        return float(np.exp(np.log(self.by_block).mean()))
 
     @property
     def words(self) -> str:
         """Method and order for people."""
-        return f"ARX, {self.order} {'lag' if self.order == 1 else 'lags'}"
+        return self.fit.words
+
+    def excess(self, other: "Candidate") -> tuple[float, float]:
+        """Return by how much its error is larger, as a logarithm, and the standard error of that."""
+        differences = np.log(self.by_block / other.by_block)
+        return float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(len(differences)))
 
 
-def candidates(recording: Recording, method: str = "auto", order: int = 0) -> tuple[Candidate, ...]:
-    """Return models of a recording, that with the smallest error on the held-out stretch first.
+def candidates(
+    recording: Recording, method: str = "auto", order: int = 0, horizon: int = HORIZON
+) -> tuple[Candidate, ...]:
+    """Return models of a recording, that which predicts best on the held-out stretch first.
 
     Parameters
     ----------
     recording : Recording
         The data.
     method : str
-        One of the methods, or ``"auto"``: all.
+        One of :data:`METHODS`, or ``"auto"``: all.
     order : int
         Lags or states; 0: by the data.
+    horizon : int
+        How many samples ahead they are judged.
 
     Raises
     ------
+    ConfigError
+        There is no such method.
     DataError
-        No method has enough data.
+        There are not enough data, or an output does not move where models are judged.
     """
-    lags = order or choose_lags(recording)
-    return (_candidate(recording, "arx", lags, lambda data: fit_arx(data, lags)),)
+    if method not in (*METHODS, "auto"):
+        raise ConfigError(f'method: "{method}" is unknown; {did_you_mean(method, ["auto", *METHODS])}')
+    first, rest = parted(recording)
+    rest = _part(rest, 0, min(_MOST_JUDGED, len(rest)))
+    if not rest.y.std(axis=0).all():
+        raise DataError(
+            "an output never moves on the last quarter of the data, so no model can be judged there"
+        )
+    samples = Samples.of(first)
+    samples = Samples.of(first, choose_delays(samples))
+    found = list[Candidate]()
+    for name in METHODS if method == "auto" else [method]:
+        judged = [
+            _judged(fit, fit.model(predictor, samples), rest, horizon)
+            for fit, predictor in _fits(name, samples, order)
+        ]
+        found.append(ranked(judged)[0])
+    return ranked([_of_all(candidate, recording) for candidate in found])
 
 
-def ensemble(
-    recording: Recording, candidate: Candidate, members: int, rng: np.random.Generator
-) -> tuple[InnovationModel, ...]:
-    """Return models of data that might have been recorded as well: how sure the candidate's model is.
+def ranked(judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Return candidates by their error; of those as good as the best but for chance, the smallest first."""
+    by_error = sorted(judged, key=lambda candidate: candidate.error)
+    best = by_error[0]
 
-    Blocks of the recording are drawn with replacement until there are as many samples (moving blocks: H. R.
-    Kuensch, Annals of Statistics 17(3), 1989, doi:10.1214/aos/1176347265). Blocks keep whatever relation the
-    inputs had to the outputs, so data that were recorded in closed loop are as good.
+    def place(candidate: Candidate) -> tuple[bool, float]:
+        excess, chance = candidate.excess(best)
+        clear = excess > chance
+        return clear, candidate.error if clear else candidate.model.order
+
+    return tuple(sorted(by_error, key=place))
+
+
+def _fits(method: str, samples: Samples, order: int) -> list[tuple[Fit, Predictor]]:
+    """Return how models of a method are made, of the orders that seem best, and their predictors."""
+    if method == "arx":
+        lags = [order] if order else sorted({choose_lags(samples), most_lags(samples)})
+        fits = [Fit(method, n, samples.delays) for n in lags]
+        return [(fit, fit.predictor(samples)) for fit in fits]
+    states, lags_before = sequence(samples, order or MOST_STATES)
+    orders = [order] if order else range(1, min(MOST_STATES, states.shape[1]) + 1)
+    subspace = [Fit("subspace", n, samples.delays) for n in orders]
+    predictors = [fit.from_sequence(samples, states, lags_before) for fit in subspace]
+    criterion = [
+        schwarz(predictor.errors(samples), len(samples), round(fit.spent(samples) * samples.counts[2]))
+        for fit, predictor in zip(subspace, predictors, strict=True)
+    ]
+    best = int(np.argmin(criterion))
+    near = range(max(best - _SHORTLIST // 2, 0), min(best + _SHORTLIST // 2 + 1, len(subspace)))
+    if method == "subspace":
+        return [(subspace[i], predictors[i]) for i in near]
+    return [(replace(subspace[i], method=method), refine(predictors[i], samples)) for i in near]
+
+
+def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> Candidate:
+    squares = squares_ahead(model, rest, horizon)
+    size = rest.y.std(axis=0)
+    errors = np.sqrt(squares.mean(axis=0))
+    held_out = 100.0 * (1.0 - np.sqrt(squares.mean(axis=(0, 1))) / size)
+    blocks = [block.mean(axis=0) for block in np.array_split(squares, min(_BLOCKS, len(squares)))]
+    by_block = [np.exp(np.log(np.sqrt(block) / size + _EXACT).mean()) for block in blocks]
+    return Candidate(fit, model, errors, held_out, np.array(by_block), 0)
+
+
+def _of_all(candidate: Candidate, recording: Recording) -> Candidate:
+    """Return a candidate with its model of all data."""
+    fit = candidate.fit
+    samples = Samples.of(recording, fit.delays)
+    rows = len(samples)
+    if fit.method == "armax":
+        used = used_rows(samples, fit.order)
+        rows = used.stop - used.start
+    return replace(candidate, model=fit.model(fit.predictor(samples), samples), rows=rows)
+
+
+def squares_ahead(model: InnovationModel, recording: Recording, horizon: int) -> FloatArray:
+    """Return squared errors of predictions, shape (instants, horizon, p).
 
     Parameters
     ----------
+    model : InnovationModel
+        What predicts.
     recording : Recording
-        The data.
-    candidate : Candidate
-        How models are made.
-    members : int
-        How many.
-    rng : numpy.random.Generator
-        Draws the blocks.
+        Data that it has not seen.
+    horizon : int
+        Predicted are 1 ... horizon samples ahead, from every instant after which there are so many; fewer
+        where no stretch is that long.
     """
-    length = max(round(np.sqrt(len(recording)) * 2), _SHORTEST_BLOCK * candidate.model.order + 1)
-    pieces = [piece for piece in recording.pieces if len(piece) > candidate.model.order]
-    models = list[InnovationModel]()
-    for _ in range(members):
-        drawn, samples = list[Recording](), 0
-        weights = np.array([len(piece) for piece in pieces], dtype=np.float64)
-        while samples < len(recording):
-            piece = pieces[rng.choice(len(pieces), p=weights / weights.sum())]
-            first = int(rng.integers(max(len(piece) - length, 0) + 1))
-            block = rows_of(piece, slice(first, first + length))
-            drawn.append(block)
-            samples += len(block)
-        models.append(candidate.fit(Recording.join(drawn)))
-    return tuple(models)
+    horizon = min(horizon, max(len(piece) for piece in recording.pieces))
+    squares = list[FloatArray]()
+    for piece in recording.pieces:
+        if instants := max(len(piece) - horizon + 1, 0):
+            states, driven = model.observed(piece)[:instants], model.driven(piece.u, piece.d)
+            errors = list[FloatArray]()
+            for i in range(horizon):
+                errors.append(piece.y[i : i + instants] - model.output(states))
+                states = states @ model.a.T + driven[i : i + instants]
+            squares.append(np.square(np.stack(errors, axis=1)))
+    return np.concatenate(squares)
 
 
 def parted(recording: Recording) -> tuple[Recording, Recording]:
     """Return the first part of a recording, and the stretch that is held out."""
     seen = len(recording) - max(round(HELD_OUT * len(recording)), 1)
-    first, rest, done = list[Recording](), list[Recording](), 0
-    for piece in recording.pieces:
-        until = min(max(seen - done, 0), len(piece))
-        first += [rows_of(piece, slice(0, until))] if until else []
-        rest += [rows_of(piece, slice(until, len(piece)))] if until < len(piece) else []
-        done += len(piece)
-    return Recording.join(first), Recording.join(rest)
+    return _part(recording, 0, seen), _part(recording, seen, len(recording))
 
 
-def _candidate(recording: Recording, method: str, order: int, fit: Fit) -> Candidate:
-    first, rest = parted(recording)
-    left, total = np.zeros(recording.y.shape[1]), np.zeros(recording.y.shape[1])
-    model = fit(first)
-    for piece in rest.pieces:
-        simulated = model.simulate(piece.u, piece.d, x=model.first_state(piece))
-        left += np.square(piece.y - simulated).sum(axis=0)
-        total += np.square(piece.y - rest.y.mean(axis=0)).sum(axis=0)
-    if not total.all():
-        raise DataError("an output never moves on the last quarter of the data: no model can be judged there")
-    held_out = 100.0 * (1.0 - left / total)
-    error = float(np.sqrt((left / total).mean()))
-    return Candidate(method, order, fit(recording), fit, held_out, error)
+def _part(recording: Recording, first: int, last: int) -> Recording:
+    rows = slice(first, last)
+    return Recording(
+        recording.u[rows],
+        recording.y[rows],
+        recording.measured[rows],
+        recording.sampling_time,
+        tuple(seam - first for seam in recording.seams if first < seam < last),
+        recording.d[rows],
+    )

@@ -6,9 +6,12 @@ from hypothesis import given, settings, strategies as st
 from scipy.signal import dlsim
 
 from ddpc_cosim import DataError, FloatArray, Recording
-from ddpc_cosim.identification.arx import choose_lags, fit_arx
-from ddpc_cosim.identification.candidates import candidates, ensemble
+from ddpc_cosim.identification.arx import choose_lags
+from ddpc_cosim.identification.bootstrap import ensemble, gains
+from ddpc_cosim.identification.candidates import candidates
+from ddpc_cosim.identification.fits import Fit
 from ddpc_cosim.identification.innovation import InnovationModel, StaticMap
+from ddpc_cosim.identification.predictor import Samples
 
 H = 0.5
 
@@ -32,12 +35,16 @@ def second_order(samples: int, noise: float, seed: int = 1) -> Recording:
     return recorded(u, y, d=d)
 
 
+def fit_arx(recording: Recording, lags: int) -> InnovationModel:
+    return Fit("arx", lags)(recording)
+
+
 def test_without_noise_the_coefficients_are_those_of_the_plant() -> None:
     model = fit_arx(second_order(200, 0.0), 2)
     np.testing.assert_allclose(model.a, [[1.5, 1.0], [-0.7, 0.0]], atol=1e-8)
-    np.testing.assert_allclose(model.b, [[1.0], [0.5]], atol=1e-8)
-    np.testing.assert_allclose(model.e, [[0.3], [0.0]], atol=1e-8)
-    np.testing.assert_allclose(model.k, model.a[:, :1])
+    np.testing.assert_allclose(model.b * model.c[0, 0], [[1.0], [0.5]], atol=1e-8)
+    np.testing.assert_allclose(model.e * model.c[0, 0], [[0.3], [0.0]], atol=1e-8)
+    np.testing.assert_allclose(model.k * model.c[0, 0], model.a[:, :1])
     at_rest = (1.5 * model.u_0 + 0.3 * model.d_0 + 4.0) / (1.0 - 1.5 + 0.7)
     np.testing.assert_allclose(model.y_0, at_rest, atol=1e-6)
 
@@ -54,7 +61,7 @@ def test_the_innovations_are_the_errors_of_the_least_squares() -> None:
 
 
 def test_schwarz_finds_the_lags_of_the_plant() -> None:
-    assert choose_lags(second_order(1000, 0.1)) == 2
+    assert choose_lags(Samples.of(second_order(1000, 0.1))) == 2
 
 
 def test_a_window_never_crosses_a_seam() -> None:
@@ -123,12 +130,12 @@ def test_a_model_rests_where_nothing_changes_any_more() -> None:
 
 def test_the_ensemble_spreads_as_the_estimate_does_over_new_data() -> None:
     """Over 60 recordings of the same plant, and over 60 bootstraps of one of them."""
-    gains = [_gain(fit_arx(second_order(400, 0.5, seed), 2)) for seed in range(100, 160)]
+    spread = [_gain(fit_arx(second_order(400, 0.5, seed), 2)) for seed in range(100, 160)]
     recording = second_order(400, 0.5)
-    (best,) = candidates(recording, order=2)
+    (best,) = candidates(recording, "arx", order=2)
     members = ensemble(recording, best, 60, np.random.default_rng(0))
-    assert 0.5 < np.std([_gain(model) for model in members]) / np.std(gains) < 2.0
+    assert 0.5 < np.std([_gain(model) for model in members]) / np.std(spread) < 2.0
 
 
 def _gain(model: InnovationModel) -> float:
-    return float((model.c @ np.linalg.solve(np.eye(model.order) - model.a, model.b))[0, 0])
+    return float(gains(model)[0, 0])
