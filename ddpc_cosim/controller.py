@@ -14,8 +14,10 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, read_table, write_table
+from ddpc_cosim.files.csv_files import Column, write_table
+from ddpc_cosim.files.logs import LogFormat, read_log
 from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
@@ -65,6 +67,8 @@ class Recording:
         The first row of every piece but the first; empty: the rows are one experiment.
     d : array, shape (T, n_d), optional
         Known disturbances, as they were measured; default: there are none, shape (T, 0).
+    treatments : tuple of str, optional
+        What was done to the logs that it comes from, such as ``"3 cells interpolated"``.
 
     Raises
     ------
@@ -79,6 +83,7 @@ class Recording:
     sampling_time: float
     seams: tuple[int, ...] = ()
     d: FloatArray = field(default_factory=lambda: _NOTHING.reshape(0, 0))
+    treatments: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.d.ndim == 2 and self.d.shape[1] == 0:  # of whatever length the other arrays had
@@ -118,7 +123,8 @@ class Recording:
         pieces = [piece for recording in recordings for piece in recording.pieces]
         first = list(accumulate(map(len, pieces)))
         u, y, measured, d = (np.vstack([getattr(piece, name) for piece in pieces]) for name in _TABLES)
-        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]), d)
+        treatments = tuple(words for recording in recordings for words in recording.treatments)
+        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]), d, treatments)
 
     @classmethod
     def read_csv(
@@ -130,15 +136,14 @@ class Recording:
         measurements: Sequence[Variable | str] = (),
         disturbances: Sequence[Variable | str] = (),
         columns: Mapping[str, str] = _NO_COLUMNS,
-        time_column: str = "time",
-        time_tolerance: float = TIME_TOLERANCE,
+        **format: Any,
     ) -> "Recording":
-        """Return what was logged in one CSV file or several, which are pieces of a mosaic.
+        """Return what was logged in one CSV or Parquet file or several, which are pieces of a mosaic.
 
         Parameters
         ----------
         *paths : str or Path
-            The files: UTF-8 text with a header, columns separated by commas, semicolons or tabs.
+            The files: text with a header, columns separated by commas, semicolons or tabs.
         sampling_time : float
             Time between rows [s].
         inputs, outputs, measurements, disturbances : sequence of Variable or str
@@ -146,16 +151,18 @@ class Recording:
             converted from the unit of the column's header to its own; those of a bare name are as they stand.
         columns : mapping of str to str
             Headers of the columns that are not called as their signals.
-        time_column : str
-            Header of the time, in seconds, in the unit it has or as ISO 8601 dates; empty: there is none.
-        time_tolerance : float
-            How far rows may be from one sampling time apart, in parts of it.
+        **format
+            How the files are read, and what is done about what is wrong with them: ``time_column``,
+            ``time_tolerance``, ``dates``, ``time_zone``, ``encoding``, ``gaps``, ``missing``,
+            ``duplicates``, ``resample`` and ``outliers``, as the keys of ``recording`` in a study file.
 
         Raises
         ------
+        ConfigError
+            A key of the format is unknown or impossible.
         DataError
-            All that is wrong with the files: missing columns, units that do not fit, cells that are not
-            finite numbers, uneven times, each with file, line and column.
+            All that is wrong with the files, a line for each kind of fault: missing columns, units that do
+            not fit, cells that are not finite numbers, uneven times, with the first places and the remedy.
         """
         kinds = [list(inputs), list(outputs), list(measurements or outputs), list(disturbances)]
         signals = {_name(signal): signal for kind in kinds for signal in kind}
@@ -165,17 +172,16 @@ class Recording:
         ]
         places = {name: i for i, name in enumerate(signals)}
         u, y, measured, d = ([places[_name(signal)] for signal in kind] for kind in kinds)
-        pieces, faults = list[Recording](), list[str]()
-        for path in map(Path, paths):
-            try:
-                _, values = read_table(path, wanted, time_column, sampling_time, time_tolerance)
-                signals_of = (values[:, u], values[:, y], values[:, measured])
-                pieces.append(cls(*signals_of, sampling_time, d=values[:, d]))
-            except DataError as error:
-                faults += error.faults
-        if faults:
-            raise DataError(faults)
-        return cls.join(pieces)
+        log = read_log(
+            paths,
+            sampling_time=sampling_time,
+            format=read(LogFormat, format),
+            columns=wanted,
+            held=[_name(signal) for kind in (inputs, disturbances) for signal in kind],
+        )
+        signals_of = (log.values[:, u], log.values[:, y], log.values[:, measured])
+        words = tuple(treatment.words for treatment in log.treatments)
+        return cls(*signals_of, sampling_time, log.seams, log.values[:, d], words)
 
     def write_csv(
         self,

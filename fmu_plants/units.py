@@ -121,6 +121,7 @@ _USUALLY_SHOWN_IN = {
     "A": ("mA", "kA"),
     "1": ("%",),
 }
+_SUPERSCRIPTS = str.maketrans("²³", "23")
 _SPELLINGS = {"": "1", "°C": "degC", "°": "deg", "1/min": "rpm", "rev/min": "rpm", "m^2": "m2", "m^3": "m3"}
 
 
@@ -166,12 +167,25 @@ def display_unit(unit: str, shown_in: str) -> DisplayUnit:
     ValueError
         One of them is not known, or they are units of different quantities.
     """
-    given, shown = (parse_unit(_SPELLINGS.get(name, name)) for name in (unit, shown_in))
+    given, shown = (parse_unit(_spelt(name)) for name in (unit, shown_in))
     if given.exponents != shown.exponents:
         raise ValueError(f"{unit!r} and {shown_in!r} are units of different quantities")
     scale = _as_written(shown.factor)
     offset = (_as_written(given.offset) - _as_written(shown.offset)) / scale
     return DisplayUnit(shown_in, float(_as_written(given.factor) / scale), float(offset))
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that is known, in whatever spelling."""
+    try:
+        parse_unit(_spelt(text.strip()))
+    except ValueError:
+        return False
+    return bool(text.strip())
+
+
+def _spelt(unit: str) -> str:
+    return _SPELLINGS.get(unit, unit.translate(_SUPERSCRIPTS))
 
 
 def _as_written(number: float) -> Fraction:

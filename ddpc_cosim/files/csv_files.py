@@ -2,7 +2,7 @@
 
 A file is UTF-8 text with a header and one row per sample. Columns are separated by commas, semicolons or
 tabs, whichever the header shows; with semicolons and tabs the decimal mark can be a comma. A header may end
-in the column's unit: ``level [cm]``.
+in the column's unit: ``level [cm]``, or ``level (cm)`` where that is a unit that is known.
 
 A Parquet file has the same columns under the same headers, and may stand wherever a CSV file is read.
 """
@@ -22,6 +22,7 @@ from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
 from ddpc_cosim.files.tables import csv_records, write_rows
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
+from fmu_plants.units import is_unit
 
 TIME_TOLERANCE = 0.01
 """How far rows may be from one sampling time apart, in parts of it, unless one says otherwise."""
@@ -32,6 +33,7 @@ _MOST_LISTED = 8
 _DELIMITERS = ";\t,"
 # A header with a unit; brackets that touch the name and hold numbers are an array's index.
 _UNIT = re.compile(r"(?P<name>.*\S)(?:\s+|(?!\[[\d,\s]*\]))\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
+_UNIT_IN_PARENTHESES = re.compile(r"(?P<name>.*\S)\s+\((?P<unit>[^()]*)\)", re.DOTALL)
 _TIME = Variable("time", unit="s")
 _TIME_HINT = " (time_column says which column the time is)"
 _INSTANTS = 1e-6  # what rounding leaves of a time, in parts of the sampling time
@@ -91,8 +93,7 @@ class CSVFile:
         first = next(filter(str.strip, re.split(r"[\r\n]", text)), "")
         if not first:
             raise DataError(f"{path}: is empty; needed: a header and one row per sample")
-        unquoted = re.sub(r'"[^"]*"', "", first)
-        self.delimiter = next((mark for mark in _DELIMITERS if mark in unquoted), ",")
+        self.delimiter = delimiter_of(first)
         self.header: tuple[str, ...] = ()
         self.rows, self.lines = list[list[str]](), list[int]()
         try:
@@ -127,25 +128,48 @@ class CSVFile:
         DataError
             There is no such column, or more than one.
         """
-        matches = [i for i, name in enumerate(self.header) if name == header]
-        matches = matches or [i for i, name in enumerate(self.header) if split_unit(name)[0] == header]
-        if len(matches) > 1:
-            names = ", ".join(f'"{self.header[i]}" (column {i + 1})' for i in matches)
-            raise DataError(f'{self.path}: column "{header}" is there more than once: {names}')
-        if not matches:
-            known = filter(None, (split_unit(name)[0] for name in self.header))
-            raise DataError(f'{self.path}: no column "{header}"; {did_you_mean(header, known)}{hint}')
-        return matches[0], split_unit(self.header[matches[0]])[1]
+        index = find_column(str(self.path), self.header, header, hint)
+        return index, split_unit(self.header[index])[1]
 
     def cells(self, index: int) -> list[str]:
         """Return the cells of a column."""
         return [row[index] for row in self.rows]
 
 
+def find_column(path: str, names: Sequence[str], header: str, hint: str = "") -> int:
+    """Return the index of the column with a header, with or without the unit.
+
+    Raises
+    ------
+    DataError
+        There is no such column, or more than one.
+    """
+    matches = [i for i, name in enumerate(names) if name == header]
+    matches = matches or [i for i, name in enumerate(names) if split_unit(name)[0] == header]
+    if len(matches) > 1:
+        listed = ", ".join(f'"{names[i]}" (column {i + 1})' for i in matches)
+        raise DataError(f'{path}: column "{header}" is there more than once: {listed}')
+    if not matches:
+        known = filter(None, (split_unit(name)[0] for name in names))
+        raise DataError(f'{path}: no column "{header}"; {did_you_mean(header, known)}{hint}')
+    return matches[0]
+
+
 def split_unit(header: str) -> tuple[str, str]:
-    """Return the name and the unit of a column; the unit is empty if the header has none."""
-    match = _UNIT.fullmatch(header)
-    return (match["name"], match["unit"].strip()) if match else (header, "")
+    """Return the name and the unit of a column; the unit is empty if the header has none.
+
+    In brackets anything is a unit, in parentheses what is known as one: ``level [cm]``, ``p (bar)``.
+    """
+    match = _UNIT.fullmatch(header) or _UNIT_IN_PARENTHESES.fullmatch(header)
+    if match is None or (header.endswith(")") and not is_unit(match["unit"])):
+        return header, ""
+    return match["name"], match["unit"].strip()
+
+
+def delimiter_of(line: str) -> str:
+    """Return what separates the cells of a header."""
+    unquoted = re.sub(r'"[^"]*"', "", line)
+    return next((mark for mark in _DELIMITERS if mark in unquoted), ",")
 
 
 def read_table(

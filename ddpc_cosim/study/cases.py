@@ -74,6 +74,8 @@ _WHERE_SAID = (
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
+LOGGED_DATA = "logged data"
+"""The provenance's name for what was done to logged data before anyone learned from them."""
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
 _RESTING, _PLANT_CONTROL = "idle", "plant"
@@ -630,7 +632,11 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         keeps_state=case.keeps_state,
         store=store,
     )
-    return replace(trace, warnings=(*trace.warnings, *_before_time_0(case, trace)))
+    provenance = dict(trace.provenance)
+    if case.recording is not None and case.recording.treatments:
+        provenance[LOGGED_DATA] = ", ".join(case.recording.treatments)
+    warnings = (*trace.warnings, *_before_time_0(case, trace))
+    return replace(trace, warnings=warnings, provenance=provenance)
 
 
 def _before_time_0(case: Case, trace: Trace) -> Iterator[str]:

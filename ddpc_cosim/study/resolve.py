@@ -614,8 +614,7 @@ class _Resolution:
                 measurements=measurements,
                 disturbances=tuple(known.values()),
                 columns={name: header for name, header in section.columns.items() if name in signals},
-                time_column=section.time_column,
-                time_tolerance=section.time_tolerance,
+                **section.format,
             )
         except DataError as error:
             for fault in error.faults:

@@ -684,7 +684,12 @@ class _Part:
 
     def _diagnostics(self) -> list[Block]:
         detailed = [condition for condition in self.seen if condition in self.budget.detailed]
-        return _tables(*diagnostics_tables(detailed, self.prefix))
+        treated = self.results.provenance.get("logged data")
+        said = f"What was done to the logged data before anyone learned from them: {treated}."
+        return [
+            *_tables(*diagnostics_tables(detailed, self.prefix)),
+            *([("notes", [said])] if treated else []),
+        ]
 
     def _fairness(self) -> list[Block]:
         notes = [*limitations(self.seen), *self.budget.left_out(self.seen)]

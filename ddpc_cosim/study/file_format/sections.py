@@ -26,8 +26,8 @@ from ddpc_cosim.codec import (
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.files.csv_files import TIME_TOLERANCE
 from ddpc_cosim.files.durations import MOMENT_SCHEMA, in_words, moment_of
+from ddpc_cosim.files.logs import LogFormat
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.identification.identification import Identification, identification_table
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
@@ -439,7 +439,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingSection(Section):
+class RecordingSection(LogFormat):
     """What data-driven controllers learn from: an experiment on the plant, or files of logged data."""
 
     samples: int | None = setting(None, low=1, high=MOST_STEPS, doc="number of samples T of the experiment")
@@ -467,13 +467,6 @@ class RecordingSection(Section):
     columns: dict[str, str] = setting(
         {}, doc="headers of the columns in the files that are not called as their signals"
     )
-    time_column: str = setting("time", doc="header of the time in the files; empty: they have none")
-    time_tolerance: float = setting(
-        TIME_TOLERANCE,
-        low=0,
-        below=0.5,
-        doc="how far rows may be from one sampling time apart, in parts of it",
-    )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing of an experiment, or does not go with files."""
@@ -486,6 +479,13 @@ class RecordingSection(Section):
                 yield "samples", "required key is missing; or give the key file, for logged data"
             if self.columns:
                 yield "columns", "names columns of the key file, which is missing"
+            for key in differing(self).keys() & declared_fields(LogFormat).keys():
+                yield key, "says how the files of the key file are read, which is missing"
+
+    @property
+    def format(self) -> dict[str, Any]:
+        """How the files are read, by the keys that say it."""
+        return {key: getattr(self, key) for key in declared_fields(LogFormat)}
 
     def begins(self, loop: LoopSection, *, is_disturbed: bool) -> float | None:
         """Return the time of the experiment's first sample [s]; None: 0, or there is no experiment.

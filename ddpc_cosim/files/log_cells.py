@@ -1,0 +1,541 @@
+"""The cells of one file of logged data as numbers, converted piece by piece as a large one needs."""
+
+import codecs
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import PARQUET, Column, delimiter_of, find_column, load_pyarrow, split_unit
+from ddpc_cosim.files.log_dates import Dates, Instants, excel_dates, is_date, read_dates
+from ddpc_cosim.files.log_format import Faults, LogFormat
+from ddpc_cosim.variables import FloatArray, Variable, converter
+from fmu_plants.units import is_unit
+
+_LARGEST = 4_000_000_000
+_ROWS = 20_000  # that are converted at once
+_HEAD = 60  # lines among which the header is
+_TIME = Variable("time", unit="s")
+_TIME_HINT = " (time_column says which column the time is)"
+_SEPARATOR = re.compile(r"\s*\"?sep=(.)\"?\s*")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[.,' \u00a0\u202f]\d{3})+(?:[.,]\d+)?|[+-]?\d{1,3}(?:,\d{3})+\.\d+")
+_LIKELY_TIME = re.compile(
+    r"^(?:time|date|datum|zeit|timestamp|t\b)|time\s*stamp|zeitstempel|uhrzeit", re.IGNORECASE
+)
+_IS_DATE = re.compile(r"^dat", re.IGNORECASE)
+_LONGEST_UNIT = 24
+_TRUTHS = {"true": 1.0, "false": 0.0}
+
+
+@dataclass(slots=True, eq=False)
+class LogTable:
+    """The numbers of one file.
+
+    Parameters
+    ----------
+    file : str
+        The file.
+    names, units : tuple of str
+        Of the n columns, without and with the units of their values.
+    headers : tuple of str
+        The same as the file has them.
+    values : array, shape (T, n)
+        NaN where a cell is empty or not a number.
+    lines : array, shape (T,)
+        The line of each row.
+    seconds : array, shape (T,)
+        The time [s]; NaN where it is not known.
+    instants : array, shape (T,), or None
+        The same in microseconds since 1970, of dates.
+    time_header : str
+        Header of the time.
+    untimed : dict of int to str
+        What is wrong with the time of rows that have none, by row.
+    time_remedy : str
+        What to do about it.
+    are_local : bool
+        Dates are local times of an unknown zone.
+    words : dict of (int, int) to str
+        What stands in the first cells that are not numbers, by row and column.
+    reported : set of (int, int)
+        Cells that are not numbers and have been reported, by row and column.
+    texts : tuple of str
+        Headers of the columns that are left out, as they are not numbers.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    headers: tuple[str, ...]
+    values: FloatArray
+    lines: NDArray[np.int64]
+    seconds: FloatArray
+    instants: Instants | None
+    time_header: str
+    untimed: dict[int, str]
+    time_remedy: str
+    are_local: bool
+    words: dict[tuple[int, int], str]
+    reported: set[tuple[int, int]]
+    texts: tuple[str, ...]
+
+
+class _Numbers:
+    """A column of numbers while its cells are read."""
+
+    def __init__(self, *, with_comma: bool) -> None:
+        self._with_comma, self._parts, self._rows = with_comma, list[FloatArray](), 0
+        self.marks: dict[str, int] = {}
+        self.odd: dict[int, str] = {}
+        self.words: dict[int, str] = {}
+        self._filled = 0
+
+    @property
+    def texts(self) -> dict[int, str]:
+        """What is not a number, by row."""
+        return self.words | self.odd
+
+    @property
+    def are_texts(self) -> bool:
+        """Whether most of its cells that are not empty are not numbers."""
+        return self._filled > 1 and len(self.texts) > self._filled / 2
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has no cells but empty ones."""
+        return not self._filled
+
+    def take(self, cells: Sequence[str]) -> None:
+        """Convert cells that follow those before."""
+        joined = "\n".join(cells)
+        for mark in ",.":
+            if mark in joined and mark not in self.marks:
+                self.marks[mark] = self._rows + next(i for i, cell in enumerate(cells) if mark in cell)
+        said = cells
+        if self._with_comma and "," in joined:
+            cells = [cell.replace(",", ".") for cell in cells]
+        self._parts.append(self._converted(cells, said, plain="_" not in joined))
+        self._rows += len(cells)
+
+    def _converted(self, cells: Sequence[str], said: Sequence[str], *, plain: bool) -> FloatArray:
+        values = None
+        if plain:
+            with suppress(ValueError):
+                values = np.fromiter(map(float, cells), np.float64, len(cells))
+            if values is None:
+                with suppress(ValueError):
+                    values = np.array([float(cell or "nan") for cell in cells])
+        if values is None:
+            values = np.array([number(cell) for cell in cells], dtype=np.float64)
+        wrong = np.flatnonzero(~np.isfinite(values)).tolist()
+        values[wrong] = np.nan
+        self._filled += len(cells) - len(wrong)
+        for i in wrong:
+            if text := said[i].strip():
+                self._filled += 1
+                kind = self.odd if any(letter.isdigit() for letter in text) else self.words
+                kind[self._rows + i] = text[:40]
+        return values
+
+    @property
+    def values(self) -> FloatArray:
+        """Return what has been read."""
+        return np.concatenate([np.empty(0), *self._parts])
+
+
+def number(cell: str) -> float:
+    """Return the number of a cell, 1 and 0 of a truth; NaN of anything else."""
+    try:
+        return np.nan if "_" in cell else float(cell)
+    except ValueError:
+        return _TRUTHS.get(cell.strip().lower(), np.nan)
+
+
+class _Head(NamedTuple):
+    """What stands before the rows; ``skipped``: lines up to the header's end."""
+
+    delimiter: str
+    header: tuple[str, ...]
+    units: tuple[str, ...]
+    skipped: int
+
+
+def read_cells(
+    path: Path, format: LogFormat, columns: Sequence[Column] | None, faults: Faults, *, lenient: bool
+) -> LogTable:
+    """Return the numbers of a file; what is wrong with it is added to the faults.
+
+    Raises
+    ------
+    DataError
+        It cannot be read at all.
+    """
+    try:
+        if not path.is_file():
+            raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+        if (size := path.stat().st_size) > _LARGEST:
+            raise DataError(
+                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+                "columns and rows that are needed"
+            )
+        if path.suffix == PARQUET:
+            return _Reader(path, format, columns, faults, lenient=lenient).parquet()
+        encoding = _marked(path) or format.encoding
+        try:
+            return _Reader(path, format, columns, faults, lenient=lenient).text(encoding)
+        except UnicodeDecodeError as error:
+            where, what = _not_text(path, encoding)
+            if not (lenient and encoding.startswith("utf-8")):
+                raise DataError(f"{path}{where}: {what}") from error
+            faults.add("encoding", str(path), [(where.removeprefix(", "), what)])
+            return _Reader(path, format, columns, faults, lenient=lenient).text("cp1252")
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+
+
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+def _marked(path: Path) -> str:
+    """Return the encoding that a file's first bytes say; empty if they say none."""
+    with path.open("rb") as file:
+        begin = file.read(3)
+    return next((encoding for mark, encoding in _MARKS.items() if begin.startswith(mark)), "")
+
+
+def _not_text(path: Path, encoding: str) -> tuple[str, str]:
+    """Return where a file is not text in an encoding, and what is wrong there."""
+    remedy = 'save it as UTF-8, or write encoding = "cp1252" if a spreadsheet has saved it'
+    if encoding.startswith("utf-8"):
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    line.decode()
+                except UnicodeDecodeError as error:
+                    byte = line[error.start]
+                    return f", line {number}", f"not UTF-8 text (byte 0x{byte:02x}): {remedy}"
+    return "", f"not {encoding} text; write the encoding that it has"
+
+
+class _Wanted(NamedTuple):
+    """A column of the result: its place in the file, None if it is not there, and how its values convert."""
+
+    name: str
+    unit: str
+    place: int | None
+    convert: Callable[[FloatArray], FloatArray]
+
+
+class _Reader:
+    """Reads one file."""
+
+    def __init__(
+        self,
+        path: Path,
+        format: LogFormat,
+        columns: Sequence[Column] | None,
+        faults: Faults,
+        *,
+        lenient: bool,
+    ) -> None:
+        self._path, self._format, self._columns, self._faults = path, format, columns, faults
+        self._lenient, self._file = lenient, str(path)
+        self._lines: list[int] = []
+
+    def text(self, encoding: str) -> LogTable:
+        """Return the numbers of a CSV file."""
+        with self._path.open(encoding=encoding, newline="") as file:
+            head = self._head(list(islice(file, _HEAD)))
+        self._begin(head)
+        with self._path.open(encoding=encoding, newline="") as file:
+            for rows in self._rows(file, head):
+                self._take(list(zip(*rows, strict=True)))
+        return self._table(head)
+
+    def parquet(self) -> LogTable:
+        """Return the numbers of a Parquet file."""
+        pyarrow = load_pyarrow()
+        try:
+            file = pyarrow.parquet.ParquetFile(self._path)
+            header = tuple(file.schema_arrow.names)
+            head = _Head(";", header, tuple(split_unit(name)[1] for name in header), 0)
+            self._begin(head)
+            for batch in file.iter_batches(_ROWS, use_threads=False):
+                begun = len(self._lines)
+                self._lines += range(begun + 1, begun + 1 + batch.num_rows)
+                self._take([_cells_of(pyarrow, column) for column in batch.columns])
+        except pyarrow.ArrowException as error:
+            raise ValueError(f"not a Parquet file: {error}") from error
+        return self._table(head)
+
+    def _head(self, lines: list[str]) -> _Head:
+        """Return the header: of the first lines the one that has most of the names that are known."""
+        first = next((i for i, line in enumerate(lines) if line.strip()), -1)
+        if first < 0:
+            raise DataError(f"{self._file}: is empty; needed: a header and one row per sample")
+        said = _SEPARATOR.fullmatch(lines[first].strip("\r\n"))
+        first += bool(said)
+        rows = {i: _cells(line, said[1] if said else "") for i, line in enumerate(lines[first:], first)}
+        known = {*self._format.time_columns, *(column.header for column in self._columns or ())}
+        numbers_known = {
+            i: len(known & {*cells, *(split_unit(cell)[0] for cell in cells)}) for i, cells in rows.items()
+        }
+        chosen = max(numbers_known, key=lambda i: numbers_known[i], default=first)
+        if not numbers_known.get(chosen):
+            filled = [i for i, cells in rows.items() if any(cells)]
+            alike = [i for i in filled if len(rows[i]) == len(rows[filled[-1]])]
+            chosen = (alike if self._columns is None else filled)[0]
+        delimiter = said[1] if said else delimiter_of(lines[chosen])
+        reader = csv.reader(lines[chosen:], delimiter=delimiter, skipinitialspace=True, strict=True)
+        try:
+            header = tuple(cell.strip() for cell in next(reader, []))
+            end = chosen + reader.line_num
+            below = [cell.strip() for cell in next(reader, [])]
+        except csv.Error as error:
+            where = f"line {chosen + max(reader.line_num, 1)}"
+            raise DataError(f"{self._file}, {where}: not a CSV file: {error}") from error
+        units = [split_unit(name)[1] for name in header]
+        if len(below) == len(header) and _are_units(below):
+            end = chosen + reader.line_num
+            units = [unit or cell.strip("[]() ") for unit, cell in zip(units, below, strict=True)]
+        return _Head(delimiter, header, tuple(units), end)
+
+    def _begin(self, head: _Head) -> None:
+        """Note which columns are read."""
+        self._of_time = self._time_indices(head)
+        if self._columns is None:
+            self._wanted = [
+                _Wanted(split_unit(name)[0], head.units[i], i, _as_it_stands)
+                for i, name in enumerate(head.header)
+                if name and i not in self._of_time
+            ]
+        else:
+            self._wanted = [self._located(head, column) for column in self._columns]
+        indices = {wanted.place for wanted in self._wanted if wanted.place is not None}
+        self._numbers = {i: _Numbers(with_comma=head.delimiter != ",") for i in sorted(indices)}
+        self._times: list[list[str]] = [[] for _ in self._of_time]
+
+    def _time_indices(self, head: _Head) -> list[int]:
+        """Return the columns of the time; of a log that is read leniently those that are likely to be it."""
+        names, indices, absent = self._format.time_columns, list[int](), list[str]()
+        for name in names:
+            try:
+                indices.append(find_column(self._file, head.header, name))
+            except DataError as error:
+                absent += error.faults
+        likely = [i for i, title in enumerate(head.header) if _LIKELY_TIME.search(title)]
+        if likely and not _IS_DATE.search(head.header[likely[0]]):
+            likely = likely[:1]
+        titles = [f'"{split_unit(head.header[i])[0]}"' for i in likely[:2]]
+        remedy = f"write time_column = {titles[0]}" if len(titles) == 1 else ""
+        if len(titles) == 2:
+            remedy = f"write time_column = [{', '.join(titles)}]"
+        if absent:
+            fault = f'{self._file}: no column "{names[0]}"' if remedy else absent[0] + _TIME_HINT
+            self._faults.add("time column", "", [("", fault)], remedy)
+        return likely[:2] if self._lenient and absent else indices
+
+    def _located(self, head: _Head, column: Column) -> _Wanted:
+        variable, header, unit, difference = column
+        name, its_unit = (header, "") if variable is None else (variable.name, variable.unit)
+        try:
+            index = find_column(self._file, head.header, header)
+        except DataError as error:
+            self._faults.add(f"column {header}", "", [("", fault) for fault in error.faults])
+            return _Wanted(name, its_unit, None, _as_it_stands)
+        given = head.units[index] or unit
+        if given and unit and given != unit:
+            where, what = f'column "{head.header[index]}"', f'unit = "{unit}" contradicts its header'
+            self._faults.add(f"unit of {header}", self._file, [(where, what)])
+        if variable is None:
+            return _Wanted(name, given, index, _as_it_stands)
+        try:
+            return _Wanted(name, its_unit, index, converter(variable, given, difference=difference))
+        except ConfigError as error:
+            where = f'column "{head.header[index]}"'
+            self._faults.add(f"unit of {header}", self._file, [(where, fault) for fault in error.faults])
+            return _Wanted(name, its_unit, index, _as_it_stands)
+
+    def _rows(self, file: Iterable[str], head: _Head) -> Iterator[list[list[str]]]:
+        """Yield rows that have a cell for each column, many at a time."""
+        lines = iter(file)
+        before, width = len(list(islice(lines, head.skipped))), len(head.header)
+        reader = csv.reader(lines, delimiter=head.delimiter, skipinitialspace=True, strict=True)
+        rows, wrong = list[list[str]](), list[tuple[str, str]]()
+        try:
+            for row in reader:
+                if len(row) == width + 1 and not row[-1]:
+                    row.pop()
+                if len(row) == width and any(row):
+                    rows.append(row)
+                    self._lines.append(before + reader.line_num)
+                    if len(rows) == _ROWS:
+                        yield rows
+                        rows = []
+                elif any(row):
+                    what = f"{len(row)} cells, and {width} columns in the header"
+                    wrong.append((f"line {before + reader.line_num}", what))
+        except csv.Error as error:
+            line = before + reader.line_num
+            raise DataError(f"{self._file}, line {line}: not a CSV file: {error}") from error
+        if rows:
+            yield rows
+        hint = "a decimal comma needs columns separated by semicolons" if head.delimiter == "," else ""
+        self._faults.add("rows", self._file, wrong, hint)
+
+    def _take(self, columns: Sequence[Sequence[str]]) -> None:
+        for index, numbers in self._numbers.items():
+            numbers.take(columns[index])
+        for cells, index in zip(self._times, self._of_time, strict=True):
+            cells += columns[index]
+
+    def _table(self, head: _Head) -> LogTable:
+        lines = np.array(self._lines, dtype=np.int64)
+        if not lines.size:
+            what = "a header and no rows; needed: one row per sample"
+            self._faults.add("no rows", self._file, [("", what)])
+        texts = [i for i, numbers in self._numbers.items() if numbers.are_texts]
+        if self._columns is None:
+            self._wanted = [wanted for wanted in self._wanted if wanted.place not in texts]
+        self._check_numbers(head, texts, lines)
+        values = np.full((len(lines), len(self._wanted)), np.nan)
+        words, reported = dict[tuple[int, int], str](), set[tuple[int, int]]()
+        for n, wanted in enumerate(self._wanted):
+            if wanted.place is not None and wanted.place not in texts:
+                values[:, n] = wanted.convert(self._numbers[wanted.place].values)
+                words |= {(row, n): word for row, word in self._numbers[wanted.place].words.items()}
+                reported |= {(row, n) for row in self._numbers[wanted.place].odd}
+        seconds, instants, untimed, remedy, are_local = self._time(head, len(lines))
+        return LogTable(
+            self._file,
+            tuple(wanted.name for wanted in self._wanted),
+            tuple(wanted.unit for wanted in self._wanted),
+            tuple("" if wanted.place is None else head.header[wanted.place] for wanted in self._wanted),
+            values,
+            lines,
+            seconds,
+            instants,
+            self._time_header(head),
+            untimed,
+            remedy,
+            are_local,
+            words,
+            reported,
+            tuple(head.header[i] for i in texts) if self._columns is None else (),
+        )
+
+    def _check_numbers(self, head: _Head, texts: Sequence[int], lines: NDArray[np.int64]) -> None:
+        """Report columns without numbers, cells that have digits and are none, and two decimal marks."""
+        columns = {i: numbers for i, numbers in self._numbers.items() if i not in texts}
+        if self._columns is not None and lines.size:
+            found = [
+                (f'column "{head.header[i]}"', f'"{cell}" and the other cells are not numbers')
+                for i in texts
+                for cell in [next(iter(self._numbers[i].texts.values()), "")]
+            ]
+            found += [
+                (f'column "{head.header[i]}"', "all of its cells are empty")
+                for i, numbers in columns.items()
+                if numbers.is_empty
+            ]
+            self._faults.add("texts", self._file, found, "columns says which column a signal is in")
+        odd = [
+            (f'line {lines[row]}, column "{head.header[i]}"', f'"{cell}" is not a finite number')
+            for i, numbers in columns.items()
+            for row, cell in numbers.odd.items()
+        ]
+        cells = [cell for numbers in columns.values() for cell in numbers.odd.values()]
+        are_grouped = any(map(_THOUSANDS.fullmatch, cells))
+        remedy = "thousands are separated there: export numbers without that" if are_grouped else ""
+        self._faults.add("numbers", self._file, odd, remedy)
+        first = {
+            mark: [numbers.marks[mark] for numbers in columns.values() if mark in numbers.marks]
+            for mark in ",."
+        }
+        if head.delimiter != "," and all(first.values()) and not are_grouped:
+            at = {mark: lines[min(rows)] for mark, rows in first.items()}
+            what = f'two decimal marks, "," in line {at[","]} and "." in line {at["."]}'
+            self._faults.add("marks", self._file, [("", what)], "needed: one of them throughout")
+
+    def _time_header(self, head: _Head) -> str:
+        return " ".join(head.header[i] for i in self._of_time)
+
+    def _time(self, head: _Head, rows: int) -> tuple[FloatArray, Instants | None, dict[int, str], str, bool]:
+        """Return times [s] or instants, what is wrong with others, what to do, and if they are local."""
+        seconds = np.full(rows, np.nan)
+        if not self._of_time or not rows:
+            return seconds, None, {}, "", False
+        cells: Sequence[str] = self._times[0]
+        if len(self._times) > 1:
+            cells = [" ".join(parts).strip() for parts in zip(*self._times, strict=True)]
+        written, first = self._format.dates, next(filter(str.strip, cells), "")
+        is_number = np.isfinite(number(first.replace(",", ".")))
+        if not is_number and (is_date(first) or written in ("dd/mm/yyyy", "mm/dd/yyyy")):
+            dates = read_dates(cells, written, self._format.time_zone)
+            if self._lenient and dates.faults and written == "auto":
+                dates = self._guessed(head, cells, dates)
+            return seconds, *dates
+        numbers = _Numbers(with_comma=head.delimiter != ",")
+        numbers.take(cells)
+        seconds = numbers.values
+        wrong = {
+            row: f'"{cells[row].strip()[:40]}" is neither a number nor a date that is known'
+            if cells[row].strip()
+            else "the cell is empty"
+            for row in np.flatnonzero(~np.isfinite(seconds)).tolist()
+        }
+        if written == "excel":
+            return seconds, excel_dates(seconds), wrong, "", True
+        try:
+            convert = converter(_TIME, head.units[self._of_time[0]])
+        except ConfigError as error:
+            where = f'column "{self._time_header(head)}"'
+            self._faults.add("time unit", self._file, [(where, fault) for fault in error.faults])
+            return np.full(rows, np.nan), None, {}, "", False
+        return convert(seconds), None, wrong, "", False
+
+    def _guessed(self, head: _Head, cells: Sequence[str], dates: Dates) -> Dates:
+        """Return dates read with the day or the month first, whichever fits; what is wrong is reported."""
+        for written in ("dd/mm/yyyy", "mm/dd/yyyy"):
+            guessed = read_dates(cells, written, self._format.time_zone)
+            if not guessed.faults:
+                found = [
+                    (f'line {self._lines[row]}, column "{self._time_header(head)}"', what)
+                    for row, what in dates.faults.items()
+                ]
+                self._faults.add("time", self._file, found, dates.remedy)
+                return guessed
+        return dates
+
+
+def _as_it_stands(values: FloatArray) -> FloatArray:
+    return values
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line that may be the header; none if it is not a row of a CSV file."""
+    reader = csv.reader([line], delimiter=delimiter or delimiter_of(line), skipinitialspace=True)
+    with suppress(csv.Error):
+        return [cell.strip() for cell in next(reader, [])]
+    return []
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Whether a row below the header has the units of the columns: no numbers, and units that are known."""
+    filled = [cell.strip("[]() ") for cell in cells if cell]
+    if any(np.isfinite(number(cell.replace(",", "."))) or is_date(cell) for cell in filled if cell != "1"):
+        return False
+    return any(map(is_unit, filled)) and all(is_unit(cell) or len(cell) < _LONGEST_UNIT for cell in filled)
+
+
+def _cells_of(pyarrow: Any, column: Any) -> Sequence[str]:
+    """Return the cells of a Parquet column as a CSV file would have them."""
+    return ["" if cell is None else str(cell) for cell in column.to_pylist()]

@@ -1,0 +1,190 @@
+"""Dates of loggers and spreadsheets as microseconds since 1970."""
+
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.variables import FloatArray
+
+Instants = NDArray[np.int64]
+"""Times in microseconds since 1970."""
+NO_TIME = np.iinfo(np.int64).min
+_EPOCH = datetime(1970, 1, 1)
+_MICROSECOND = timedelta(microseconds=1)
+_QUARTER = 900 * 10**6  # within which no zone changes its offset
+_EXCEL = datetime(1899, 12, 30)
+_DATE = re.compile(
+    r"(?P<first>\d{1,4})(?P<mark>[./-])(?P<second>\d{1,2})(?P=mark)(?P<third>\d{4}|\d{1,2})"
+    r"(?:[T,\s]\s*(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<seconds>\d{2})(?:[.,:](?P<fraction>\d{1,9}))?)?"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<offset>Z|[+-]\d{2}:?\d{2})?)?"
+)
+_ORDERS = {"dd/mm/yyyy": "dmy", "mm/dd/yyyy": "mdy"}
+
+
+class Dates(NamedTuple):
+    """What a column of dates says.
+
+    Parameters
+    ----------
+    instants : array, shape (T,)
+        Their times; NO_TIME where a cell is not a date.
+    faults : dict of int to str
+        What is wrong with a cell, by its row.
+    remedy : str
+        What to do about it.
+    are_local : bool
+        They are local times of a zone that is not known.
+    """
+
+    instants: Instants
+    faults: dict[int, str]
+    remedy: str
+    are_local: bool
+
+
+def is_date(cell: str) -> bool:
+    """Whether a cell is a date, though perhaps an ambiguous one."""
+    return _iso(cell) is not None or _DATE.fullmatch(cell.strip()) is not None
+
+
+def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
+    """Return the times that cells say.
+
+    Parameters
+    ----------
+    cells : sequence of str
+        Dates with the time of the day.
+    written : {"auto", "dd/mm/yyyy", "mm/dd/yyyy"}
+        How they are written; auto: in ISO 8601, or with dots and the day first.
+    time_zone : str
+        Where they are local times, unless they have an offset; empty: unknown.
+    """
+    order = _ORDERS.get(written, "")
+    of_parts: Callable[[str], datetime | None] = lambda cell: _from_parts(cell, order)  # noqa: E731
+    first, second = (_iso, of_parts) if cells and _iso(cells[0]) is not None else (of_parts, _iso)
+    moments = [first(cell) or second(cell) for cell in cells]
+    wrong = [i for i, moment in enumerate(moments) if moment is None]
+    faults, remedy = {i: f'"{cells[i].strip()[:40]}" is not a date' for i in wrong}, ""
+    if wrong:
+        faults, remedy = _ambiguous([cells[i] for i in wrong], wrong, order) or (faults, _KNOWN)
+    known = [moment for moment in moments if moment is not None]
+    with_offset = sum(moment.tzinfo is not None for moment in known)
+    if with_offset and with_offset < len(known) and not time_zone:
+        usual = moments[0] is not None and moments[0].tzinfo is not None
+        odd = {
+            i: f'"{cells[i].strip()[:40]}" has {"no" if usual else "a"} time zone, and the first date has '
+            f"{'one' if usual else 'none'}"
+            for i, moment in enumerate(moments)
+            if moment is not None and (moment.tzinfo is not None) != usual
+        }
+        faults, remedy = faults | odd, 'time_zone = "Europe/Berlin", or where it was, says that of the others'
+    instants = np.full(len(cells), NO_TIME, dtype=np.int64)
+    at = [i for i, moment in enumerate(moments) if moment is not None]
+    instants[at] = [
+        ((moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)) - _EPOCH)
+        // _MICROSECOND
+        for moment in known
+    ]
+    local = np.array([moment is not None and moment.tzinfo is None for moment in moments], dtype=bool)
+    if time_zone and local.any():
+        for i in _to_universal(instants, local, time_zone):
+            faults[i] = f'"{cells[i].strip()[:40]}" does not exist in {time_zone}, where an hour was left out'
+            remedy = "leave time_zone out if the logger does not know daylight saving"
+    return Dates(instants, faults, remedy, bool(local.any()) and not time_zone)
+
+
+_KNOWN = 'needed: ISO 8601 or dd.mm.yyyy, or what dates = "dd/mm/yyyy", "mm/dd/yyyy" or "excel" says'
+
+
+def excel_dates(days: FloatArray) -> Instants:
+    """Return the times of days since 1899-12-30, to a millisecond; NO_TIME of what is not finite."""
+    instants = np.full(len(days), NO_TIME, dtype=np.int64)
+    known = np.isfinite(days) & (np.abs(days) < 1e7)
+    begin = (_EXCEL - _EPOCH) // _MICROSECOND
+    instants[known] = begin + np.round(days[known] * 86_400_000).astype(np.int64) * 1000
+    return instants
+
+
+def date_of(instant: int) -> datetime:
+    """Return a time as a date."""
+    return _EPOCH + instant * _MICROSECOND
+
+
+def _ambiguous(cells: Sequence[str], rows: Sequence[int], order: str) -> tuple[dict[int, str], str] | None:
+    """Return what is to be told where it is not known whether the day or the month stands first."""
+    matches = [_DATE.fullmatch(cell.strip()) for cell in cells]
+    parts = [match for match in matches if match and match["mark"] in "/-"]
+    if order or len(parts) < len(cells):
+        return None
+    faults = {
+        row: f'"{cell.strip()[:40]}" has the day or the month first'
+        for row, cell in zip(rows, cells, strict=True)
+    }
+    days = {"dd/mm/yyyy": parts[0]["first"], "mm/dd/yyyy": parts[0]["second"]}
+    for match in parts:
+        for written, key in (("dd/mm/yyyy", "first"), ("mm/dd/yyyy", "second")):
+            if int(match[key]) > 12:
+                return faults, f'write dates = "{written}", as there is a day {match[key]}'
+    both = " or ".join(f'dates = "{written}" (a day {day})' for written, day in days.items())
+    return faults, f"write {both}"
+
+
+def _iso(cell: str) -> datetime | None:
+    with suppress(ValueError):
+        return datetime.fromisoformat(cell.strip())
+    return None
+
+
+def _from_parts(cell: str, order: str) -> datetime | None:
+    match = _DATE.fullmatch(cell.strip())
+    if match is None:
+        return None
+    first, mark, second, third, hour, minute, seconds, fraction, half, offset = match.groups()
+    if len(first) > 2:
+        order = "ymd"
+    elif mark == ".":
+        order = "dmy"
+    elif not order:
+        return None
+    parts = dict(zip(order, (first, second, third), strict=True))
+    year = int(parts["y"]) + (2000 if len(parts["y"]) < 3 else 0)
+    clock = int(hour or 0)
+    if half:
+        clock = clock % 12 + 12 * (half[0] in "Pp")
+    clock_time = (clock, int(minute or 0), int(seconds or 0), int((fraction or "0").ljust(6, "0")[:6]))
+    with suppress(ValueError):
+        moment = datetime(year, int(parts["m"]), int(parts["d"]), *clock_time)
+        if offset:
+            return datetime.fromisoformat(moment.isoformat() + offset)
+        return moment
+    return None
+
+
+def _to_universal(instants: Instants, local: NDArray[np.bool_], time_zone: str) -> list[int]:
+    """Make local times universal ones, in place, and return those that do not exist.
+
+    Of an hour that is repeated it is the second one where it would otherwise be before the time before.
+    """
+    from zoneinfo import ZoneInfo
+
+    zone, rows = ZoneInfo(time_zone), np.flatnonzero(local)
+    quarters, places = np.unique(instants[rows] // _QUARTER, return_inverse=True)
+    offsets = np.empty((2, len(quarters)), dtype=np.int64)
+    for i, quarter in enumerate(quarters.tolist()):
+        moment = date_of(quarter * _QUARTER).replace(tzinfo=zone)
+        for fold in (0, 1):
+            offset = moment.replace(fold=fold).utcoffset() or timedelta()
+            offsets[fold, i] = offset // _MICROSECOND
+    earlier, later = offsets[0][places], offsets[1][places]
+    universal = instants[rows] - earlier
+    instants[rows] = universal
+    for i in np.flatnonzero(earlier > later).tolist():
+        row = rows[i]
+        if row and instants[row - 1] > NO_TIME and instants[row] < instants[row - 1]:
+            instants[row] = universal[i] + earlier[i] - later[i]
+    return [int(row) for row in rows[earlier < later]]
