@@ -18,13 +18,14 @@ from ddpc_cosim.identification.candidates import Candidate
 from ddpc_cosim.identification.innovation import InnovationModel
 from ddpc_cosim.identification.prediction_error import refine
 from ddpc_cosim.identification.predictor import Predictor, Samples, scan
+from ddpc_cosim.identification.stability import projected
 from ddpc_cosim.variables import FloatArray
 
 _MOST_REFITTED = 20_000  # rows
 _FEW_STEPS = 5  # from the model of the recording to that of one like it
 _GROWTH = 10.0  # over the longest stretch, above which errors of long ago decide everything
 _INTEGRATES = 1e-4
-_NEGLIGIBLE = 1e-9
+_NEGLIGIBLE = _ROUNDING = 1e-9
 
 
 def ensemble(
@@ -44,7 +45,7 @@ def ensemble(
         Draws the errors: of each stretch of a mosaic from those of the stretch.
     """
     fit = candidate.fit
-    samples = Samples.of(recording, fit.delays)
+    samples = fit.samples(recording)
     predictor = fit.predictor(samples)
     errors = predictor.errors(samples)
     spread = np.sqrt(len(samples) / max(len(samples) - fit.spent(samples), 1.0))
@@ -54,6 +55,7 @@ def ensemble(
     radius = np.abs(np.linalg.eigvals(predictor.plant())).max()
     follows = len(samples) <= _MOST_REFITTED and longest * np.log(max(radius, 1e-9)) < np.log(_GROWTH)
     linearised = None if follows else fit.linearised(predictor, samples)
+    stable = np.abs(np.linalg.eigvals(candidate.model.a)).max() <= 1.0 + _ROUNDING
     models = list[InnovationModel]()
     for _ in range(members):
         drawn = np.concatenate(
@@ -66,9 +68,9 @@ def ensemble(
             member = linearised(drawn)
         else:
             again = samples.with_outputs(_outputs(predictor, samples, drawn))
-            refined = fit.method == "armax"
+            refined = fit.method in ("armax", "hammerstein-wiener")
             member = refine(predictor, again, _FEW_STEPS) if refined else fit.predictor(again)
-        models.append(fit.model(member, samples))
+        models.append(fit.model(projected(member) if stable else member, samples))
     return tuple(models)
 
 

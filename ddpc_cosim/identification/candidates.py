@@ -17,6 +17,7 @@ from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.identification.arx import choose_delays, choose_lags, most_lags, schwarz
 from ddpc_cosim.identification.fits import METHODS, MOST_STATES, Fit, sequence
 from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.nonlinear import input_map_of, output_map_of
 from ddpc_cosim.identification.prediction_error import refine, used_rows
 from ddpc_cosim.identification.predictor import Predictor, Samples
 from ddpc_cosim.variables import FloatArray
@@ -30,6 +31,8 @@ _MOST_JUDGED = 5000  # rows of the held-out stretch
 _SHORTLIST = 3
 _BLOCKS = 8
 _EXACT = 1e-9
+_NONLINEAR = 2.0  # standard errors
+_MOST_MAPPED = 5000  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +55,8 @@ class Candidate:
         outputs' standard deviations.
     rows : int
         Samples that a search for coefficients has used; the others are in the data, and left out of it.
+    notes : tuple of str
+        What a reader should know of the model: poles that were moved.
     """
 
     fit: Fit
@@ -60,6 +65,7 @@ class Candidate:
     held_out: FloatArray
     by_block: FloatArray
     rows: int
+    notes: tuple[str, ...] = ()
 
     @property
     def method(self) -> str:
@@ -70,6 +76,11 @@ class Candidate:
     def order(self) -> int:
         """What its size is told by: lags, or states."""
         return self.fit.order
+
+    @property
+    def is_nonlinear(self) -> bool:
+        """Whether it has nonlinearities."""
+        return self.fit.input_map is not None or self.fit.output_map is not None
 
     @property
     def error(self) -> float:
@@ -123,45 +134,77 @@ def candidates(
     found = list[Candidate]()
     for name in METHODS if method == "auto" else [method]:
         judged = [
-            _judged(fit, fit.model(predictor, samples), rest, horizon)
-            for fit, predictor in _fits(name, samples, order)
+            _judged(fit, fit.model(fit.settled(predictor, seen)[0], seen), rest, horizon)
+            for fit, predictor, seen in _fits(name, first, samples, order)
         ]
         found.append(ranked(judged)[0])
     return ranked([_of_all(candidate, recording) for candidate in found])
 
 
 def ranked(judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """Return candidates by their error; of those as good as the best but for chance, the smallest first."""
+    """Return candidates by their error; of those as good as the best but for chance, the smallest first.
+
+    Nonlinearities have to be better by two standard errors.
+    """
     by_error = sorted(judged, key=lambda candidate: candidate.error)
     best = by_error[0]
 
-    def place(candidate: Candidate) -> tuple[bool, float]:
+    def place(candidate: Candidate) -> tuple[bool, float, float]:
         excess, chance = candidate.excess(best)
-        clear = excess > chance
-        return clear, candidate.error if clear else candidate.model.order
+        needed = 1.0 if candidate.is_nonlinear or not best.is_nonlinear else _NONLINEAR
+        if excess > needed * chance:
+            return True, candidate.error, 0.0
+        return False, candidate.is_nonlinear, candidate.model.order
 
     return tuple(sorted(by_error, key=place))
 
 
-def _fits(method: str, samples: Samples, order: int) -> list[tuple[Fit, Predictor]]:
-    """Return how models of a method are made, of the orders that seem best, and their predictors."""
+def _fits(
+    method: str, recording: Recording, samples: Samples, order: int
+) -> list[tuple[Fit, Predictor, Samples]]:
+    """Return how models of a method are made, of the orders that seem best, their predictors, and of what."""
+    if method == "hammerstein-wiener":
+        return _nonlinear(recording, samples, order)
     if method == "arx":
         lags = [order] if order else sorted({choose_lags(samples), most_lags(samples)})
         fits = [Fit(method, n, samples.delays) for n in lags]
-        return [(fit, fit.predictor(samples)) for fit in fits]
+        return [(fit, fit.predictor(samples), samples) for fit in fits]
     states, lags_before = sequence(samples, order or MOST_STATES)
     orders = [order] if order else range(1, min(MOST_STATES, states.shape[1]) + 1)
     subspace = [Fit("subspace", n, samples.delays) for n in orders]
     predictors = [fit.from_sequence(samples, states, lags_before) for fit in subspace]
     criterion = [
-        schwarz(predictor.errors(samples), len(samples), round(fit.spent(samples) * samples.counts[2]))
-        for fit, predictor in zip(subspace, predictors, strict=True)
+        _criterion(fit, predictor, samples) for fit, predictor in zip(subspace, predictors, strict=True)
     ]
     best = int(np.argmin(criterion))
     near = range(max(best - _SHORTLIST // 2, 0), min(best + _SHORTLIST // 2 + 1, len(subspace)))
     if method == "subspace":
-        return [(subspace[i], predictors[i]) for i in near]
-    return [(replace(subspace[i], method=method), refine(predictors[i], samples)) for i in near]
+        return [(subspace[i], predictors[i], samples) for i in near]
+    return [(replace(subspace[i], method=method), refine(predictors[i], samples), samples) for i in near]
+
+
+def _nonlinear(recording: Recording, samples: Samples, order: int) -> list[tuple[Fit, Predictor, Samples]]:
+    """Return Hammerstein models about the linear one of smallest criterion, and with maps of outputs too."""
+    linear = _fits("armax", recording, samples, order)
+    criterion = [_criterion(fit, predictor, samples) for fit, predictor, _ in linear]
+    chosen, start, _ = linear[int(np.argmin(criterion))]
+    recording = _part(recording, 0, min(_MOST_MAPPED, len(recording)))
+    curve, predictor = input_map_of(recording, start, chosen.delays)
+    fit = replace(chosen, method="hammerstein-wiener", input_map=curve)
+    seen = fit.samples(recording)
+    found = [(fit, predictor, seen)]
+    if predictor.plant_is_stable():
+        model = fit.model(predictor, seen)
+        pieces = [model.simulate(part.u, part.d, x=model.first_state(part)) for part in recording.pieces]
+        fit = replace(fit, output_map=output_map_of(recording, np.vstack(pieces)))
+        seen = fit.samples(recording)
+        found.append((fit, refine(predictor, seen), seen))
+    return found
+
+
+def _criterion(fit: Fit, predictor: Predictor, samples: Samples) -> float:
+    coefficients = round(fit.spent(samples) * samples.counts[2])
+    return schwarz(predictor.errors(samples), len(samples), coefficients)
 
 
 def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> Candidate:
@@ -177,12 +220,13 @@ def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> 
 def _of_all(candidate: Candidate, recording: Recording) -> Candidate:
     """Return a candidate with its model of all data."""
     fit = candidate.fit
-    samples = Samples.of(recording, fit.delays)
+    samples = fit.samples(recording)
     rows = len(samples)
-    if fit.method == "armax":
+    if fit.method in ("armax", "hammerstein-wiener"):
         used = used_rows(samples, fit.order)
         rows = used.stop - used.start
-    return replace(candidate, model=fit.model(fit.predictor(samples), samples), rows=rows)
+    predictor, notes = fit.settled(fit.predictor(samples), samples)
+    return replace(candidate, model=fit.model(predictor, samples), rows=rows, notes=notes)
 
 
 def squares_ahead(model: InnovationModel, recording: Recording, horizon: int) -> FloatArray:

@@ -142,6 +142,10 @@ class Predictor:
         """Return whether it forgets what was long ago, as the plant need not."""
         return bool(np.abs(np.linalg.eigvals(self.a)).max() < 1.0)
 
+    def plant_is_stable(self) -> bool:
+        """Return whether the plant's own dynamics are."""
+        return bool(np.abs(np.linalg.eigvals(self.plant())).max() < 1.0)
+
     def states(self, samples: Samples) -> FloatArray:
         """Return the states of every row, from 0 at the beginning of every stretch, shape (T, n)."""
         return scan(self.a, samples.z @ self.g.T, samples.stretches)

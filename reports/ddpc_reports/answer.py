@@ -25,6 +25,7 @@ from ddpc_cosim.study.verdicts.standings import Standing, Standings
 from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import knowledge_of_plant
+from ddpc_reports.identified import certainty_of_plant
 from ddpc_reports.numbers import MINUS, apart, significant, with_unit
 from ddpc_reports.verdict import formatter, p_words
 
@@ -62,6 +63,7 @@ def answer(results: StudyResults, seen: Sequence[Condition], findings: Findings)
     parts = [
         sentence(worth) + "." if worth else "",
         sentence(clause) + _details(findings, who, offers) + ".",
+        certainty_of_plant(results, findings, who),
         untested_sentence(findings),
         "Not all ran in the same scenarios on the same seeds: differences are of what two share."
         if ranking.is_uneven

@@ -12,6 +12,7 @@ from ddpc_cosim.study.file_format.sections import TunedSection
 from ddpc_cosim.study.verdicts.sentences import italic, join_words, some_of
 from ddpc_cosim.study.verdicts.shares import run_once
 from ddpc_reports.comparison import Condition, ControllerResults
+from ddpc_reports.identified import terms_of_plant
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.tables.settings import compact_seeds, limits_texts, mapping_text
 from ddpc_reports.verdict import Statement, counted, names
@@ -50,12 +51,13 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
     """
     if not conditions or not conditions[0].controllers:
         return []
-    first = conditions[0]
+    first, identified = conditions[0], results.study.plant.identified
     topics = {
         "Preview": _by_scenario(conditions, _preview),
         "Measurements": [_measurements(first)],
         "Disturbances": _by_scenario(conditions, _disturbances) if results.study.disturbances else [],
         "Prices": [_prices(first)] if results.study.prices else [],
+        "Plant": [_Terms(Markup.escape(terms_of_plant(identified)), alike=True)] if identified else [],
         "Seeds": _seeds(results, first),
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),

@@ -30,6 +30,7 @@ from ddpc_reports.comparison import (
     metric_unit,
     ranked,
 )
+from ddpc_reports.identified import limitations_of_plant
 from ddpc_reports.numbers import apart, duration, given_duration, integer, significant, with_unit
 
 _POOR = 3.0
@@ -544,6 +545,7 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
 def limitations(conditions: Sequence[Condition]) -> list[str]:
     """Return the study's own limitations, then those that its results show."""
     sentences = [*conditions[0].results.study.report.limitations] if conditions else []
+    sentences += limitations_of_plant(conditions)
     sentences += (
         _of_references(conditions) + _of_cases(conditions) + _of_windows(conditions) + _of_seeds(conditions)
     )

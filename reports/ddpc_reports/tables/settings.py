@@ -369,7 +369,7 @@ def _course(value: Any, unit: str) -> str:
 
 def _plant_facts(plant: PlantSection, units: Mapping[str, str], controls: bool) -> list[tuple[str, str]]:
     said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters", "nominal"}
-    said |= {"ssp", "parts", "connections", "coupling"}
+    said |= {"ssp", "parts", "connections", "coupling", "identified"}
     return [
         *_what_plant(plant),
         ("inputs", _names(plant.inputs) or "all of the plant"),
@@ -390,6 +390,10 @@ def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
         yield "plant", plant.label
     elif plant.ssp or plant.fmu:
         yield ("SSP", Path(plant.ssp).name) if plant.ssp else ("FMU", Path(plant.fmu).name)
+    elif plant.identified:
+        yield "plant identified from", plant.label
+        for name, text in _others(plant.identified, {"file"}):
+            yield f"identification: {name}", text
     for part in plant.parts:
         what = part.label
         others = (f"{name}: {text}" for name, text in _others(part, {"name", "plant", "fmu"}))

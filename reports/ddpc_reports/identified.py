@@ -1,0 +1,86 @@
+"""What a report says of a plant that is identified from data: how sure it makes one, what it cannot know."""
+
+from collections.abc import Mapping, Sequence
+
+from markupsafe import Markup
+
+from ddpc_cosim import Identification, StudyResults
+from ddpc_cosim.study.verdicts.findings import Findings
+from ddpc_cosim.study.verdicts.sentences import italic, join_words
+from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
+
+_ALL = 1.0
+
+
+def certainty_of_plant(
+    results: StudyResults, findings: Findings, who: Mapping[str, ControllerResults]
+) -> Markup:
+    """Return what intervals over seeds say where each seed plays another model of the plant.
+
+    Parameters
+    ----------
+    results : StudyResults
+        The results of one problem.
+    findings : Findings
+        Who is ahead.
+    who : mapping of str to ControllerResults
+        The controllers, by key.
+    """
+    identified, ranking = results.study.plant.identified, findings.standings
+    if identified is None:
+        return Markup("")
+    if identified.members == 1 or ranking.seeds < 2:
+        return Markup(
+            "The plant is an estimate, of which one model was run: how sure that makes one is open."
+        )
+    text = Markup(
+        "The plant is an estimate, and each seed plays another model of it: intervals allow for that."
+    )
+    if not (findings.leaders and findings.following):
+        return text
+    first, other = findings.leaders[0], findings.following
+    shares = {key: 1.0 - ranking.above(key, first, other).won for key in ranking.keys}
+    pair = italic(who[first].label), italic(who[other].label)
+    parts = [
+        f"{share:.0%} of them" + (f" in {metric_signal(key)}" if len(shares) > 1 else "")
+        for key, share in shares.items()
+        if share < _ALL
+    ]
+    if not parts:
+        return text + Markup(" {} is ahead of {} on all of them.").format(*pair)
+    return text + Markup(" They disagree: {} is ahead of {} on {}.").format(*pair, join_words(parts))
+
+
+def terms_of_plant(identified: Identification) -> str:
+    """Return on what terms controllers are compared on a plant that is identified."""
+    if identified.members == 1:
+        which = "All seeds play one model that was identified from data"
+    else:
+        others = "those of data that might have been recorded as well"
+        which = (
+            f"Seed s plays model s of {identified.members}, number 0 that of all data, the others {others}"
+        )
+    noise = "with noise of the seed's own" if identified.noise else "without noise"
+    return f"{which}, {noise}: the same for every controller."
+
+
+def limitations_of_plant(conditions: Sequence[Condition]) -> list[str]:
+    """Return what cannot be known of a plant that is known from data alone."""
+    identified = conditions[0].results.study.plant.identified if conditions else None
+    if identified is None:
+        return []
+    ranges = conditions[0].results.provenance.get("recorded ranges", "")
+    seeds = {seed for condition in conditions for seed in condition.seeds}
+    repeated = len(seeds) - len({seed % identified.members for seed in seeds})
+    return [
+        "The plant is a model from data. It does not know what the plant does beyond what was recorded"
+        + (f" ({ranges})" if ranges else "")
+        + "; what acted on it and was not recorded, which is in the noise, or in the model as if inputs had "
+        "done it; what changes later; nor, where a controller was at work while data were recorded, what of "
+        "the relation of inputs and outputs is that controller's.",
+        *(
+            [f"{repeated} of {len(seeds)} seeds play a model that another one plays too, and add less."]
+            if repeated and identified.members > 1
+            else []
+        ),
+    ]
