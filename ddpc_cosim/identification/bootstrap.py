@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ddpc_cosim.controller import Recording
-from ddpc_cosim.identification.candidates import Candidate
+from ddpc_cosim.identification.candidates import Candidate, most_moving
 from ddpc_cosim.identification.innovation import InnovationModel
 from ddpc_cosim.identification.prediction_error import refine
 from ddpc_cosim.identification.predictor import Predictor, Samples, scan
@@ -45,7 +45,7 @@ def ensemble(
         Draws the errors: of each stretch of a mosaic from those of the stretch.
     """
     fit = candidate.fit
-    samples = fit.samples(recording)
+    samples = fit.samples(most_moving(recording))
     predictor = fit.predictor(samples)
     errors = predictor.errors(samples)
     spread = np.sqrt(len(samples) / max(len(samples) - fit.spent(samples), 1.0))

@@ -27,12 +27,15 @@ HELD_OUT = 0.25
 """The last part of the data, on which models of the rest are judged."""
 HORIZON = 20
 """How many samples ahead models are judged."""
-_MOST_JUDGED = 5000  # rows of the held-out stretch
+_MOST_JUDGED = 3000  # rows of the held-out stretch
 _SHORTLIST = 3
 _BLOCKS = 8
 _EXACT = 1e-9
 _NONLINEAR = 2.0  # standard errors
-_MOST_MAPPED = 5000  # rows
+_MOST_MAPPED = 3000  # rows
+MOST_ROWS = 10_000
+"""The most rows that models are made of: the block in which the inputs move most."""
+_HASTE = 2  # rounds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,15 +132,23 @@ def candidates(
         raise DataError(
             "an output never moves on the last quarter of the data, so no model can be judged there"
         )
+    first = most_moving(first)
     samples = Samples.of(first)
     samples = Samples.of(first, choose_delays(samples))
-    found = list[Candidate]()
+    tried: dict[str, list[tuple[Fit, Predictor, Samples]]] = {}
     for name in METHODS if method == "auto" else [method]:
+        if name == "hammerstein-wiener":
+            linear = tried.get("armax") or _linear_fits("armax", samples, order)
+            tried[name] = _nonlinear_fits(first, linear, wanted=method != "auto")
+        else:
+            tried[name] = _linear_fits(name, samples, order)
+    found = list[Candidate]()
+    for fits in tried.values():
         judged = [
             _judged(fit, fit.model(fit.settled(predictor, seen)[0], seen), rest, horizon)
-            for fit, predictor, seen in _fits(name, first, samples, order)
+            for fit, predictor, seen in fits
         ]
-        found.append(ranked(judged)[0])
+        found += ranked(judged)[:1] if judged else []
     return ranked([_of_all(candidate, recording) for candidate in found])
 
 
@@ -159,12 +170,8 @@ def ranked(judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
     return tuple(sorted(by_error, key=place))
 
 
-def _fits(
-    method: str, recording: Recording, samples: Samples, order: int
-) -> list[tuple[Fit, Predictor, Samples]]:
+def _linear_fits(method: str, samples: Samples, order: int) -> list[tuple[Fit, Predictor, Samples]]:
     """Return how models of a method are made, of the orders that seem best, their predictors, and of what."""
-    if method == "hammerstein-wiener":
-        return _nonlinear(recording, samples, order)
     if method == "arx":
         lags = [order] if order else sorted({choose_lags(samples), most_lags(samples)})
         fits = [Fit(method, n, samples.delays) for n in lags]
@@ -183,22 +190,36 @@ def _fits(
     return [(replace(subspace[i], method=method), refine(predictors[i], samples), samples) for i in near]
 
 
-def _nonlinear(recording: Recording, samples: Samples, order: int) -> list[tuple[Fit, Predictor, Samples]]:
-    """Return Hammerstein models about the linear one of smallest criterion, and with maps of outputs too."""
-    linear = _fits("armax", recording, samples, order)
-    criterion = [_criterion(fit, predictor, samples) for fit, predictor, _ in linear]
+def _nonlinear_fits(
+    recording: Recording, linear: list[tuple[Fit, Predictor, Samples]], *, wanted: bool
+) -> list[tuple[Fit, Predictor, Samples]]:
+    """Return Hammerstein models about the linear one of smallest criterion, and with maps of outputs too.
+
+    Where they are not wanted in any case: no map of the inputs, if one found in haste does not explain more
+    than as many coefficients do by chance.
+    """
+    criterion = [_criterion(fit, predictor, samples) for fit, predictor, samples in linear]
     chosen, start, _ = linear[int(np.argmin(criterion))]
     recording = _part(recording, 0, min(_MOST_MAPPED, len(recording)))
-    curve, predictor = input_map_of(recording, start, chosen.delays)
-    fit = replace(chosen, method="hammerstein-wiener", input_map=curve)
-    seen = fit.samples(recording)
-    found = [(fit, predictor, seen)]
+    fit = replace(chosen, method="hammerstein-wiener")
+    samples = fit.samples(recording)
+    predictor = refine(start, samples)
+    before = _criterion(fit, predictor, samples)
+    curve, hasty = input_map_of(recording, predictor, fit.delays, _HASTE)
+    bent = replace(fit, input_map=curve)
+    spent = sum(map(len, curve.points)) * np.log(len(samples))
+    found = list[tuple[Fit, Predictor, Samples]]()
+    if wanted or _criterion(bent, hasty, bent.samples(recording)) + spent < before:
+        curve, predictor = input_map_of(recording, predictor, fit.delays)
+        fit = replace(fit, input_map=curve)
+        samples = fit.samples(recording)
+        found.append((fit, predictor, samples))
     if predictor.plant_is_stable():
-        model = fit.model(predictor, seen)
+        model = fit.model(predictor, samples)
         pieces = [model.simulate(part.u, part.d, x=model.first_state(part)) for part in recording.pieces]
         fit = replace(fit, output_map=output_map_of(recording, np.vstack(pieces)))
-        seen = fit.samples(recording)
-        found.append((fit, refine(predictor, seen), seen))
+        samples = fit.samples(recording)
+        found.append((fit, refine(predictor, samples), samples))
     return found
 
 
@@ -220,7 +241,7 @@ def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> 
 def _of_all(candidate: Candidate, recording: Recording) -> Candidate:
     """Return a candidate with its model of all data."""
     fit = candidate.fit
-    samples = fit.samples(recording)
+    samples = fit.samples(most_moving(recording))
     rows = len(samples)
     if fit.method in ("armax", "hammerstein-wiener"):
         used = used_rows(samples, fit.order)
@@ -259,6 +280,18 @@ def parted(recording: Recording) -> tuple[Recording, Recording]:
     """Return the first part of a recording, and the stretch that is held out."""
     seen = len(recording) - max(round(HELD_OUT * len(recording)), 1)
     return _part(recording, 0, seen), _part(recording, seen, len(recording))
+
+
+def most_moving(recording: Recording) -> Recording:
+    """Return the rows that models are made of: where inputs move most, all where they are few."""
+    if len(recording) <= MOST_ROWS:
+        return recording
+    signals = np.hstack([recording.u, recording.d])
+    size = signals.std(axis=0)
+    moves = np.square(np.diff(signals, axis=0) / np.where(size > 0.0, size, 1.0)).sum(axis=1)
+    moved = np.concatenate([[0.0], np.cumsum(moves)])
+    first = int(np.argmax(moved[MOST_ROWS - 1 :] - moved[: len(moved) - MOST_ROWS + 1]))
+    return _part(recording, first, first + MOST_ROWS)
 
 
 def _part(recording: Recording, first: int, last: int) -> Recording:

@@ -27,7 +27,7 @@ _FLAT = 0.05  # of the mean slope: what an output's map rises by at least
 
 
 def input_map_of(
-    recording: Recording, start: Predictor, delays: tuple[int, ...]
+    recording: Recording, start: Predictor, delays: tuple[int, ...], rounds: int = _ROUNDS
 ) -> tuple[StaticMap, Predictor]:
     """Return the nonlinearities of the inputs, and the linear part between them and the outputs.
 
@@ -39,10 +39,12 @@ def input_map_of(
         The linear model without them.
     delays : tuple of int
         Dead time of every input, in samples.
+    rounds : int
+        How often each is found in turn.
     """
     curve = StaticMap(*(tuple(_points(u) for u in recording.u.T) for _ in range(2)))
     predictor = start
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         samples = Samples.of(replace(recording, u=curve(recording.u)), delays)
         predictor = refine(predictor, samples, _STEPS)
         curve = _better(curve, recording, predictor, samples)

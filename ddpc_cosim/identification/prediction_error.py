@@ -12,18 +12,16 @@ maximum likelihood, for data of a closed loop too (L. Ljung, System Identificati
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from ddpc_cosim.identification.predictor import Predictor, Refit, Samples, scan
 from ddpc_cosim.variables import FloatArray
 
 _EXACT = 1e-9  # of a signal's size: errors that small are rounding
-_STEPS = 40
+_STEPS = 25
 _SETTLED = 1e-3  # the improvement of twice the log-likelihood after which the search ends
 _DAMPING = (1e-4, 1e8)  # at the beginning, and where no step helps any more
-_MOST_ENTRIES = 4_000_000  # of the matrix of sensitivities
+_MOST_ENTRIES = 1_500_000  # of the matrix of sensitivities
 _NEGLIGIBLE = 1e-9
-_LITTLE_NOISE = 1e-6  # that every state has, so that a gain exists
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +53,7 @@ def refine(start: Predictor, samples: Samples, steps: int = _STEPS) -> Predictor
     Parameters
     ----------
     start : Predictor
-        Where the search begins.
+        Where the search begins; stable.
     samples : Samples
         What is to be explained; see :func:`used_rows`.
     steps : int
@@ -67,8 +65,7 @@ def refine(start: Predictor, samples: Samples, steps: int = _STEPS) -> Predictor
         No worse than ``start`` for these samples.
     """
     samples = samples.rows(used_rows(samples, len(start.a)))
-    best = start if start.is_stable() else stabilised(start, samples)
-    cost = generalised_variance(best.errors(samples))
+    best, cost = start, generalised_variance(start.errors(samples))
     damping, end = _DAMPING
     for _ in range(steps):
         if cost <= 2.0 * len(start.c) * np.log(2.0 * _EXACT):
@@ -101,20 +98,6 @@ def used_rows(samples: Samples, order: int) -> slice:
     moved = np.concatenate([[0.0], np.cumsum(moves)])
     first = int(np.argmax(moved[most - 1 :] - moved[: len(moved) - most + 1]))
     return slice(first, first + most)
-
-
-def stabilised(predictor: Predictor, samples: Samples) -> Predictor:
-    """Return a predictor whose own dynamics are stable, of the same plant: its gain is Kalman's."""
-    m, n_d, p = samples.counts
-    b = predictor.g[:, : m + n_d]
-    disturbed = b @ b.T + _LITTLE_NOISE * np.eye(len(b))
-    a, c = predictor.plant(), predictor.c
-    spread = solve_discrete_are(a.T, c.T, disturbed, np.eye(p))
-    k = a @ spread @ c.T @ np.linalg.inv(np.eye(p) + c @ spread @ c.T)
-    g = predictor.g.copy()
-    g[:, -1] += (predictor.gain() - k) @ predictor.y_0
-    g[:, -1 - p : -1] = k
-    return Predictor(a - k @ c, g, c, predictor.y_0)
 
 
 def linearised(predictor: Predictor, samples: Samples) -> Refit:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import DataError
@@ -26,6 +27,7 @@ from ddpc_cosim.variables import FloatArray
 _AT_REST = 1e-8
 _NEGLIGIBLE = 1e-9
 _CONSTANT = 1e-12
+_LITTLE_NOISE = 1e-6  # that every state has, so that a gain exists
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +139,25 @@ class Predictor:
     def plant(self) -> FloatArray:
         """Return A, how the state goes on, shape (n, n)."""
         return self.a + self.gain() @ self.c
+
+    def stabilised(self, inputs: int) -> "Predictor":
+        """Return a predictor of the same plant that is stable: with a Kalman gain, if its own is not.
+
+        Parameters
+        ----------
+        inputs : int
+            Number of inputs and disturbances, along which the state is taken to be disturbed.
+        """
+        if self.is_stable():
+            return self
+        a, b, c, p = self.plant(), self.g[:, :inputs], self.c, len(self.c)
+        disturbed = b @ b.T + _LITTLE_NOISE * np.eye(len(b))
+        spread = solve_discrete_are(a.T, c.T, disturbed, np.eye(p))
+        k = a @ spread @ c.T @ np.linalg.inv(np.eye(p) + c @ spread @ c.T)
+        g = self.g.copy()
+        g[:, -1] += (self.gain() - k) @ self.y_0
+        g[:, -1 - p : -1] = k
+        return Predictor(a - k @ c, g, c, self.y_0)
 
     def is_stable(self) -> bool:
         """Return whether it forgets what was long ago, as the plant need not."""

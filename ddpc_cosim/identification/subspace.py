@@ -73,4 +73,4 @@ def from_states(samples: Samples, states: FloatArray, lags: int) -> Predictor:
     a, g = onward[:, :n], onward[:, n:]
     k = g[:, m + n_d : -1]
     g[:, -1] -= k @ y_0
-    return Predictor(a - k @ c, g, c, y_0)
+    return Predictor(a - k @ c, g, c, y_0).stabilised(m + n_d)
