@@ -2,14 +2,14 @@
 
 With instruments Z, rows of recorded signals that the noise of what is predicted does not reach, ``M g``
 becomes ``M Z' g``, and the noise averages out. J.-W. van Wingerden, S. P. Mulders, R. Dinkla, T. Oomen,
-M. Verhaegen, *Data-enabled predictive control with instrumental variables: the direct equivalence with subspace
-predictive control*, IEEE CDC 2022 (arXiv:2209.05210), take past inputs, past outputs and future inputs,
+M. Verhaegen, *Data-enabled predictive control with instrumental variables: the direct equivalence with
+subspace predictive control*, IEEE CDC 2022 (arXiv:2209.05210), take past inputs, outputs and future inputs,
 ``Z = (U_p, Y_p, U_f)``: then past and inputs determine g, and DeePC is subspace predictive control. In closed
 loop U_f is no such row: the controller that was running has made the inputs from the noise.
 
 R. Dinkla, T. Oomen, S. P. Mulders, J.-W. van Wingerden, *Closed-loop data-enabled predictive control and its
 equivalence with closed-loop subspace predictive control*, Automatica 183, 2026,
-doi:10.1016/j.automatica.2025.112556 (arXiv:2402.14374), predict one sample with ``Z = (U_p, Y_p, u_k)``, which
+doi:10.1016/j.automatica.2025.112556 (arXiv:2402.14374), predict one sample with ``Z = (U_p, Y_p, u_k)``, that
 was all there before the noise of the predicted sample, and apply this predictor sample after sample, to
 measured outputs and to those that it has predicted.
 """
