@@ -1,9 +1,9 @@
 """What instruments are worth where the data were recorded in closed loop: settled errors with noise.
 
-Three plants are recorded around a controller that holds them, the measured output with noise in the recording
-and in the loop. DeePC with the ridge, with the projection, and with the instruments for closed loop is tuned by
-the same random trials, the regulariser's weight among them, on three seeds and by the figure that it is judged
-by: the median of the settled error, of twenty other seeds. Every seed has its own recording.
+Three plants are recorded around a controller that holds them, the measured output with noise in the
+recording and in the loop. DeePC with the ridge, with the projection, and with the instruments for closed loop
+is tuned by the same random trials, the regulariser's weight among them, on three seeds and by the figure that
+it is judged by: the median of the settled error, of twenty other seeds. Every seed has its own recording.
 
     python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 24
 """
