@@ -33,9 +33,16 @@ from ddpc_controllers.data.hankel import (
     samples_before,
     signals_of,
     signals_that_move,
+    window_starts,
+)
+from ddpc_controllers.data.instruments import (
+    Instruments,
+    predict_all_at_once,
+    predict_one_by_one,
+    require_free_inputs,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
-from ddpc_controllers.data.quality import Span, fit_by_windows, judge
+from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_predictor, fit_by_windows, judge
 from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
@@ -134,6 +141,12 @@ class BehavioralTracking(Foresight, ScaledSignals):
         False, doc="the output measured now ends the past window; otherwise the sample before does"
     )
     assumed_order: int = setting(0, low=0, doc="bound on the plant's order; 0: initial_length x outputs")
+    instruments: Instruments = setting(
+        "none",
+        choices=get_args(Instruments),
+        doc="what averages the noise out of the data: nothing; pasts and inputs, for a recording made in "
+        "open loop; the same, one sample ahead at a time, for one made in closed loop",
+    )
     backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
 
     def __post_init__(self) -> None:
@@ -153,12 +166,13 @@ class BehavioralTracking(Foresight, ScaledSignals):
         self._resting: bool = samples_before(loop, 1) is None
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
-        ridge = np.zeros(len(data) - self.horizon * p)
-        ridge[self._rows_of("y", recording)[: self._past_outputs * p]] = self._past_ridge
-        test = fit_by_windows(data, self.horizon * p, p, self._layout.depth, ridge)
+        test = self._test(data, recording)
         self._judgement = judge(
             type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
         )
+        if self.instruments != "none":
+            known = data[: len(data) - self.horizon * p]
+            data = np.vstack([known, self._predictor(data, recording) @ known])
         self._outlook = Outlook(
             loop,
             self,
@@ -331,6 +345,31 @@ class BehavioralTracking(Foresight, ScaledSignals):
         require_excitation(self._diagnostics, why, who, recording.d.shape[1])
         return data
 
+    def _predictor(self, data: FloatArray, recording: Recording, windows: int | None = None) -> FloatArray:
+        """Return the instrumented predictor, shape (N p, rows above those of y), of the first windows."""
+        future, known = self.horizon * recording.y.shape[1], self._past_outputs
+        if self.instruments == "open-loop":
+            return predict_all_at_once(data[:, :windows], future)
+        signals, seams, end = signals_of(recording), recording.seams, len(recording)
+        if windows is None:
+            require_free_inputs(signals, seams, known, type(self).__name__)
+        else:
+            end = int(window_starts(end, self._layout.depth, seams)[windows - 1]) + self._layout.depth
+        head = {name: values[:end] for name, values in signals.items()}
+        return predict_one_by_one(head, [seam for seam in seams if seam < end], self._layout, known)
+
+    def _test(self, data: FloatArray, recording: Recording) -> PredictionTest | None:
+        """Return how well the outputs at the end of the horizon are predicted."""
+        p, depth = recording.y.shape[1], self._layout.depth
+        future = self.horizon * p
+        if self.instruments != "none":
+            return fit_by_predictor(
+                lambda windows: self._predictor(data, recording, windows), data, future, p, depth
+            )
+        ridge = np.zeros(len(data) - future)
+        ridge[self._rows_of("y", recording)[: self._past_outputs * p]] = self._past_ridge
+        return fit_by_windows(data, future, p, depth, ridge)
+
     @property
     def _spans(self) -> Sequence[Span]:
         """How long a dead time the windows cover."""
@@ -483,6 +522,11 @@ class DeePC(OnlineSettings, BehavioralTracking):
             faults.append(
                 "DeePC: regulariser = 'l1' has no condensed form to update; use another regulariser or "
                 "online_data = 'frozen'"
+            )
+        if self.online_data != "frozen" and self.instruments != "none":
+            faults.append(
+                f"DeePC: instruments = {self.instruments!r} make a predictor of the recording, which "
+                "online_data would not update: use online_data = 'frozen', or instruments = 'none'"
             )
         return faults + self.online_faults()
 

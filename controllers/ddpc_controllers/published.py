@@ -54,6 +54,7 @@ class PublishedDeePC(DeePC):
     terminal_equality: bool = setting(
         True, doc="the last initial_length predicted samples equal the artificial setpoint"
     )
+    instruments: Literal["none"] = setting("none", choices=("none",), doc="the program averages nothing")
     affine_sum: str = setting(
         "first-horizon", choices=("first-horizon",), doc="which entries of g sum to 1: the first N"
     )

@@ -1,6 +1,6 @@
 """What a recording is worth to a predictor: its error on samples held out, the dead time it has to span."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,6 +23,7 @@ _EXPLAINED = 1e-6
 _RANK = 1e-9
 # Of a signal's mean, or of its unit: what moves by less is constant but for rounding.
 _NEGLIGIBLE = 1e-10
+_TINY = np.finfo(float).tiny
 
 
 class Judgement(NamedTuple):
@@ -140,23 +141,43 @@ def fit_by_windows(
     test : PredictionTest or None
         None if the head has too few windows to fit a predictor at all.
     """
+
+    def fit(head: int) -> FloatArray:
+        known, ahead = data[: len(data) - future, :head].T, data[len(data) - future :, :head].T
+        size = np.maximum(np.sqrt(np.mean(np.square(data[: len(data) - future]), axis=1)), _TINY)
+        split = known.shape[1]
+        weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / data.shape[1])
+        system = [
+            np.hstack([known / size, ahead]),
+            np.hstack([np.diag(weighed / size), np.zeros((split, future))]),
+        ]
+        # The triangular factor of the head has all that its least squares need, in a few rows.
+        factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
+        solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
+        return np.asarray(solution.T / size)
+
+    return fit_by_predictor(fit, data, future, outputs, depth)
+
+
+def fit_by_predictor(
+    fit: Callable[[int], FloatArray], data: FloatArray, future: int, outputs: int, depth: int
+) -> PredictionTest | None:
+    """Test a predictor of recorded windows as :func:`fit_by_windows` does.
+
+    Parameters
+    ----------
+    fit : callable
+        Returns coefficients, shape (future, rows - future), fitted to so many of the first windows.
+    data, future, outputs, depth
+        See :func:`fit_by_windows`.
+    """
     rows, windows = data.shape
     known, ahead = data[: rows - future].T, data[rows - future :].T
     tail = windows - max(1, round(_HELD_OUT * windows))
     head = tail - depth + 1
     if head < _EQUATIONS * known.shape[1]:
         return None
-    size = np.maximum(np.sqrt(np.mean(np.square(known), axis=0)), np.finfo(float).tiny)
-    split = known.shape[1]
-    weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / windows)
-    system = [
-        np.hstack([known[:head] / size, ahead[:head]]),
-        np.hstack([np.diag(weighed / size), np.zeros((split, future))]),
-    ]
-    # The triangular factor of the head has all that its least squares need, in a few rows.
-    factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
-    solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
-    errors = (ahead - known / size @ solution).reshape(windows, -1, outputs)
+    errors = (ahead - known @ fit(head).T).reshape(windows, -1, outputs)
     return _in_parts(errors[:head], errors[tail:], ahead[:, -outputs:])
 
 

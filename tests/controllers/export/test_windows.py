@@ -70,6 +70,8 @@ SETTINGS: dict[str, Callable[[], BehavioralTracking]] = {
     "SPC": SPC,
     "SPC, plans": lambda: SPC(apply_steps=2, rate_bounds=0.5, use_current_output=False, horizon=8),
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=10),
+    "DeePC, closed loop": lambda: DeePC(instruments="closed-loop", regulariser="ridge"),
+    "SPC, closed loop": lambda: SPC(instruments="closed-loop"),
 }
 
 

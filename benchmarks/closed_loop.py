@@ -1,0 +1,150 @@
+"""What instruments are worth where the data were recorded in closed loop: settled errors with noise.
+
+Three plants are recorded around a controller that holds them, the measured output with noise in the
+recording and in the loop. DeePC with the ridge, with the projection, and with the instruments for closed loop
+is tuned by the same random trials, the regulariser's weight among them, on three seeds and by the figure that
+it is judged by: the median of the settled error, of twenty other seeds. Every seed has its own recording.
+
+    python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 24
+"""
+
+import argparse
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from ddpc_controllers import IPID, PID, DeePC
+from ddpc_cosim import Constant, Controller, Problem, Steps, Study, UniformRandom
+from ddpc_cosim.study.verdicts.statistics import compare
+
+BOUND = 0.5
+"""What instruments may leave of the settled error."""
+METHODS = ("DeePC, ridge", "DeePC, projection", "IV-DeePC")
+TUNED_ON, JUDGED_ON = range(100, 103), range(20)
+
+PROBLEMS = {
+    "cart-pendulum": Problem(
+        plant="cart-pendulum",
+        inputs=["force"],
+        outputs=["angle"],
+        sampling_time=0.02,
+        duration=6.0,
+        reference={"angle": Steps([0.0, 0.5, 3.0], [0.0, 3.0, -2.0], unit="deg")},
+        bounds={"force": (-10.0, 10.0)},
+        excitation=UniformRandom(-1.0, 1.0, samples=2000),
+        stabiliser=IPID(order=2, alpha=4.5, kp=36.0, kd=12.0, window=3),
+        noise={"angle": 0.005},
+    ),
+    "two-mass-drive": Problem(
+        plant="two-mass-drive",
+        inputs=["motor_torque"],
+        outputs=["load_speed"],
+        sampling_time=0.02,
+        duration=4.0,
+        reference={"load_speed": Steps([0.0, 0.2, 2.0], [0.0, 10.0, 5.0])},
+        bounds={"motor_torque": (-5.0, 5.0)},
+        excitation=UniformRandom(-0.5, 0.5, samples=2000),
+        stabiliser=PID(tuning="manual", proportional=0.15, integral=0.5),
+        recorded_inputs={"load_torque": Constant(0.0)},
+        noise={"load_speed": 0.5},
+    ),
+    "pendulum": Problem(
+        plant="pendulum",
+        inputs=["torque"],
+        outputs=["angle"],
+        sampling_time=0.1,
+        duration=20.0,
+        reference={"angle": Steps([0.0, 1.0, 10.0], [0.0, 20.0, -10.0], unit="deg")},
+        bounds={"torque": (-3.5, 3.5)},
+        excitation=UniformRandom(-1.0, 1.0, samples=2000),
+        stabiliser=PID(tuning="manual", proportional=8.0, derivative=0.4, integral=8.0),
+        noise={"angle": 0.02},
+    ),
+}
+
+
+def trials(count: int) -> dict[str, list[Controller]]:
+    """Return the settings that both are tried with: the same windows and weights."""
+    rng = np.random.default_rng(1)
+    drawn: dict[str, list[Controller]] = {method: [] for method in METHODS}
+    for _ in range(count):
+        shared = DeePC(
+            horizon=int(rng.integers(5, 25)),
+            initial_length=int(rng.integers(4, 18)),
+            input_weight=float(10 ** rng.uniform(-7.0, 0.0)),
+            artificial_setpoint=bool(rng.integers(2)),
+            use_current_output=True,
+            lambda_g=float(10 ** rng.uniform(-3.0, 5.0)),
+        )
+        drawn["DeePC, ridge"].append(replace(shared, regulariser="ridge"))
+        drawn["DeePC, projection"].append(shared)
+        drawn["IV-DeePC"].append(replace(shared, instruments="closed-loop"))
+    return drawn
+
+
+def settled_errors(
+    problem: Problem, controllers: Mapping[str, Controller], seeds: Sequence[int], jobs: int
+) -> dict[str, list[float]]:
+    """Return each controller's settled error by seed; infinite where it fails."""
+    study = Study(problem, dict(controllers), seeds=seeds, name="closed-loop")
+    errors: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for case in study.run(Path(folder), jobs=jobs, progress=False).cases:
+            (error,) = (value for key, value in case.metrics.items() if key.startswith("settled_error"))
+            complete = case.outcome == "completed" and math.isfinite(error)
+            errors.setdefault(case.label, []).append(error if complete else math.inf)
+    return errors
+
+
+def judged(name: str, count: int, jobs: int) -> bool:
+    """Print what instruments leave of the settled error; return whether that is within its bound."""
+    problem, tried = PROBLEMS[name], dict[str, Controller]()
+    for method, controllers in trials(count).items():
+        tried |= {f"{method} {number}": controller for number, controller in enumerate(controllers)}
+    tuning = settled_errors(problem, tried, TUNED_ON, jobs)
+    chosen = {
+        method: min(
+            (label for label in tried if label.startswith(f"{method} ")), key=lambda of: median(tuning[of])
+        )
+        for method in METHODS
+    }
+    errors = settled_errors(
+        problem, {method: tried[label] for method, label in chosen.items()}, JUDGED_ON, jobs
+    )
+    instrumented = errors["IV-DeePC"]
+    print(f"{name}: settled error {median(instrumented):.4g} with instruments: {tried[chosen['IV-DeePC']]}")
+    within = True
+    for method in METHODS[:-1]:
+        plain = errors[method]
+        ratio = median(instrumented) / median(plain)
+        gain = compare(
+            *({("", seed): error for seed, error in enumerate(runs)} for runs in (plain, instrumented))
+        )
+        within &= ratio <= BOUND and gain.low > 0.0
+        print(
+            f"  {ratio:.3f} of {method} ({median(plain):.4g}); gain {gain.median:.4g}, 95 % interval "
+            f"{gain.low:.4g} to {gain.high:.4g}; without a figure {sum(map(math.isinf, instrumented))} and "
+            f"{sum(map(math.isinf, plain))} of {len(JUDGED_ON)}: {tried[chosen[method]]}",
+            flush=True,
+        )
+    return within
+
+
+def main() -> bool:
+    """Print the table; return whether all bounds are met."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("problems", nargs="*", default=[*PROBLEMS])
+    parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    kept = [judged(name, given.trials, given.jobs) for name in given.problems]
+    return all(kept)
+
+
+if __name__ == "__main__":
+    raise SystemExit(0 if main() else 1)
