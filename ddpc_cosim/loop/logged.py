@@ -72,12 +72,16 @@ class LoggedPlant(Plant):
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Go to the first sample and return the outputs there."""
         self._row = self._first
-        return self._values[self._row].copy()
+        return self._outputs()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Go to the next sample and return the outputs there."""
         self._row += 1
-        return self._values[self._row].copy()
+        return self._outputs()
+
+    def _outputs(self) -> FloatArray:
+        y: FloatArray = self._values[self._row].copy()
+        return y
 
 
 class TakingOver(Controller):

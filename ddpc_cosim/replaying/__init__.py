@@ -42,11 +42,11 @@ _AT_LIMIT = 1e-9
 """How near to a limit is at it, in parts of the range."""
 
 SHOWS = (
-    "Open loop: the outputs of the log did not answer to these inputs. At each sample the controller took over "
-    "from what was really applied before, so each answer is advice for one sample. It shows whether the inputs "
-    "are plausible: their sign and size, how often they are at a limit, how far they move at once, failed "
-    "solves, and the time of a step. It does not show how well the controller would have controlled, nor "
-    "whether the loop would have been stable."
+    "Open loop: the outputs of the log did not answer to these inputs. At each sample the controller took "
+    "over from what was really applied before, so each answer is advice for one sample. It shows whether the "
+    "inputs are plausible: their sign and size, how often they are at a limit, how far they move at once, "
+    "failed solves, and the time of a step. It does not show how well the controller would have controlled, "
+    "nor whether the loop would have been stable."
 )
 """What a replay can show, and what it cannot."""
 
@@ -168,8 +168,8 @@ class Replay:
                 f"{name}: differs from the log by {part.median:.4g} {unit} in the median{share}, and by "
                 f"{part.largest:.4g} {unit}{most} at most, at t = {shown(part.time)}; it is at a limit at "
                 f"{100 * part.at_limit:.3g} % of the samples (the log: {100 * part.log_at_limit:.3g} %), and "
-                f"moves by {part.move:.4g} {unit} from one sample to the next, root mean square (the log: "
-                f"{part.log_move:.4g} {unit})" + self._same_way(part) + self._beyond(part) + "."
+                f"moves from what was applied at the sample before by {part.move:.4g} {unit}, root mean "
+                f"square (the log: {part.log_move:.4g} {unit})" + self._same_way(part) + self._beyond(part) + "."
             )
         said.append(self._of_solves())
         if trace.diagnostics.get(WITHOUT_PAST) == 1.0:
@@ -220,7 +220,7 @@ class Replay:
         return Table("replay-table", f"{self.controller} beside {self.log}", headings, tuple(rows))
 
     def figures(self) -> dict[str, Any]:
-        """Return the differences, fallbacks and times of a step in plain values, in s and the inputs' units."""
+        """Return differences, fallbacks and times of a step in plain values, in s and the inputs' units."""
         trace = self.trace
         inputs = {
             part.input.name: {"unit": part.input.unit}
@@ -355,7 +355,7 @@ def run(
     start: float | None = None,
     sandboxed: bool = False,
 ) -> Replay:
-    """Replay a log in a worker; what ends it early is in the trace's outcome. Parameters as :func:`replay`."""
+    """Replay a log in a worker; what ends it early is in the trace. Parameters as of :func:`replay`."""
     how = {"problem": problem, "scenario": scenario}
     case, single = single_case(resolved, controller, progress, **how, seed=seed, sandboxed=sandboxed)
     case, notes = prepare(log, case, recording=single.study.recording, columns=columns, start=start)
