@@ -146,7 +146,7 @@ def test_dates_count_from_the_first_sample_of_the_study(study: Path, tmp_path: P
 def test_the_command_says_it_and_writes_what_is_asked_for(study: Path, log: LogOf, tmp_path: Path) -> None:
     outs = [tmp_path / f"out{suffix}" for suffix in (".csv", ".html", ".svg", ".json")]
     options = [word for out in outs for word in ("--out", str(out))]
-    command = [sys.executable, "-m", "ddpc_cosim.cli.program", "replay", str(log()), str(study)]
+    command = [str(Path(sys.executable).with_name("ddpc-cosim")), "replay", str(log()), str(study)]
     done = subprocess.run(
         [*command, "--controller", "half", *options], capture_output=True, text=True, check=False
     )
