@@ -169,7 +169,10 @@ class Replay:
                 f"{part.largest:.4g} {unit}{most} at most, at t = {shown(part.time)}; it is at a limit at "
                 f"{100 * part.at_limit:.3g} % of the samples (the log: {100 * part.log_at_limit:.3g} %), and "
                 f"moves from what was applied at the sample before by {part.move:.4g} {unit}, root mean "
-                f"square (the log: {part.log_move:.4g} {unit})" + self._same_way(part) + self._beyond(part) + "."
+                f"square (the log: {part.log_move:.4g} {unit})"
+                + self._same_way(part)
+                + self._beyond(part)
+                + "."
             )
         said.append(self._of_solves())
         if trace.diagnostics.get(WITHOUT_PAST) == 1.0:

@@ -130,7 +130,7 @@ def test_a_log_that_is_too_short_for_the_past_is_refused(study: Path, log: LogOf
 
 
 def test_an_unknown_controller_is_told_with_what_may_be_meant(study: Path, log: LogOf) -> None:
-    with pytest.raises(ConfigError, match='no controller "haf"; .*half'):
+    with pytest.raises(ConfigError, match=r'no controller "haf"; .*half'):
         replay(log(), study, "haf")
 
 
