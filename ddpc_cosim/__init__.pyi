@@ -43,6 +43,7 @@ from .loop.trace import Outcome as Outcome, Trace as Trace
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .plugins import study_folder as study_folder
+from .replaying import Difference as Difference, Replay as Replay, replay as replay
 from .settings import (
     SIGNAL as SIGNAL,
     Choice as Choice,

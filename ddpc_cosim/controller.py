@@ -498,7 +498,8 @@ class Controller(ABC):
     Reading a study asks an object that is never started for ``settings``, ``uses_recording``, ``horizon``
     and, where there is a recording, ``recording_length``; ``ddpc-cosim tune`` asks such a one for
     ``settings_as``, ``ddpc-cosim inspect`` one for ``prediction_errors``, and ``ddpc-cosim
-    export-controller`` a started one for ``c_code``. These may be set, too.
+    export-controller`` a started one for ``c_code``. :func:`ddpc_cosim.replay` asks one that is never started
+    for ``past_length``, and has a started one ``restart`` before each ``step``. These may be set, too.
     """
 
     # These may be set: as attributes, which may be settings, or as properties.
@@ -512,6 +513,14 @@ class Controller(ABC):
     def uses_recording(self) -> bool:
         """Whether ``start`` needs ``loop.recording``; a class whose answer is fixed sets an attribute."""
         return False
+
+    @property
+    def past_length(self) -> int:
+        """How many of the last samples of ``loop.past`` it needs: with fewer it supposes what was before.
+
+        A class whose answer is fixed sets an attribute.
+        """
+        return 1
 
     @property
     def accepts_missing(self) -> bool:
@@ -569,6 +578,13 @@ class Controller(ABC):
         ConfigError
             A setting does not fit the loop.
         """
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew in the loop that it was started in, of which nothing but the past is another one.
+
+        It then decides as after a ``start`` with that loop. A subclass may keep what it has learned.
+        """
+        self.start(loop)
 
     @abstractmethod
     def step(self, sample: Sample) -> FloatArray | Action:

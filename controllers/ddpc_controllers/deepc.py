@@ -160,11 +160,8 @@ class BehavioralTracking(Foresight, ScaledSignals):
         self._inputs, self._outputs = m, p
         # Where the inputs of a plan and its predicted outputs end in the law's answer.
         self._planned = steps * m, steps * (m + p)
-        self._forecast = recording.y[-1]
         self._rates = rate_limits(self.rate_bounds, m) / self._scales.u
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, self._rates, steps)
-        self._resting: bool = samples_before(loop, 1) is None
-        self._pending: list[FloatArray] = []
         data = self._stack(recording)
         test = self._test(data, recording)
         self._judgement = judge(
@@ -191,11 +188,26 @@ class BehavioralTracking(Foresight, ScaledSignals):
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
         problem.ask(y=-p)
-        self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
+        self._ends = predicted_ends(loop.outputs)
         self._learner = self._make_learner(problem, data, loop, recording)
         self._law = self._make_law(problem, data)
         changes_answer = np.isfinite(self._rates).any() or self._learner is not None
         self._applies_answer: bool = steps == 1 and not changes_answer
+        self._begin(loop, recording)
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: what was learned stays, unless it follows the plant."""
+        if self._learner is not None:
+            self.start(loop)
+            return
+        self._see(loop)
+        self._begin(self._scales.loop, matching_recording(self._scales.loop, type(self).__name__))
+
+    def _begin(self, loop: Loop, recording: Recording) -> None:
+        """Forget what was decided, and fill the past."""
+        self._forecast, self._info = recording.y[-1], NO_INFO
+        self._resting: bool = samples_before(loop, 1) is None
+        self._pending: list[FloatArray] = []
         self._fill_past(loop, recording)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
@@ -286,6 +298,11 @@ class BehavioralTracking(Foresight, ScaledSignals):
     def _sums_g(self) -> bool:
         """Whether entries of g sum to 1."""
         return False
+
+    @property
+    def past_length(self) -> int:
+        """How many samples of a running plant fill the past window."""
+        return self._past_outputs
 
     @property
     def _past_outputs(self) -> int:

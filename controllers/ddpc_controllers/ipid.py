@@ -192,6 +192,11 @@ class IPID(Exportable):
         self._u = u
         return Action(u.copy(), fault) if fault else u.copy()
 
+    @property
+    def past_length(self) -> int:
+        """How many samples of a running plant its window has."""
+        return self.window + 1
+
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the law, with the window as it is."""
         if self._moving:

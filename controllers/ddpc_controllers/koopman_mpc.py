@@ -390,6 +390,11 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         model = self._model
         self._predicted = model.a @ z + model.b @ self._u + model.e @ self._last_d + self._disturbance
 
+    @property
+    def past_length(self) -> int:
+        """How many samples of a running plant its state is made of."""
+        return 1 + (self.delays if self.state == "delays" else 0) + memory_of(self.dictionary)
+
     def _take_over(self, past: Recording) -> None:
         """Follow a running plant to where the loop begins."""
         self._u = past.u[0]

@@ -332,6 +332,11 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         problem.ask(y=-len(loop.outputs))
         return problem
 
+    @property
+    def past_length(self) -> int:
+        """How many samples of a running plant fill the past window, and what is lifted of it."""
+        return self.initial_length + memory_of(self.dictionary)
+
     def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
         """Fill the past: with the samples before the first, or with rest as far as it is known yet."""
         before, past = (

@@ -125,6 +125,11 @@ class Wrapper(Exportable):
         return any(controller.uses_recording for controller in self._held)
 
     @property
+    def past_length(self) -> int:
+        """How many samples of a running plant the controllers need, the one that needs most."""
+        return max(controller.past_length for controller in self._held)
+
+    @property
     def accepts_missing(self) -> bool:
         """Whether all of the controllers go on when a measurement is missing."""
         return all(controller.accepts_missing for controller in self._held)

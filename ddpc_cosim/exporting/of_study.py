@@ -1,6 +1,6 @@
 """A controller of a study as an FMU: the loop of its case is set up, in a worker, up to its first sample."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -9,17 +9,16 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
 from ddpc_cosim.exporting.vector import SAMPLES, vector_of
-from ddpc_cosim.processes.sandbox import demanded, require
-from ddpc_cosim.study.cases import Case, cases_of, controller_of, run_case, started
+from ddpc_cosim.study.cases import Case, controller_of, run_case, started
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
-from ddpc_cosim.study.runner import Progress, answer_of, built_plants
+from ddpc_cosim.study.resolve import ResolvedProblems
+from ddpc_cosim.study.runner import Progress, answer_of
+from ddpc_cosim.study.single import single_case
 from ddpc_cosim.variables import DisplayUnit
 from fmu_plants import Variable
 from fmu_plants.export.platforms import ALL, parse_platforms
 from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportUsageError
-from fmu_plants.spelling import did_you_mean
 
 _VECTOR = "test_vector.csv"
 _SIGNALS = ("measurements", "references", "controls")
@@ -67,24 +66,20 @@ def export_from_study(
     """
     path = path or Path(f"{controller}.fmu")
     _check_wishes(path, platforms)
-    chosen = _chosen("problem", problem, resolved.problems, only=True)
-    study = resolved.problems[chosen].study
-    _chosen("controller", controller, study.controllers)
-    within = _chosen("scenario", scenario, study.scenarios)
-    alone = replace(resolved, problems={chosen: resolved.problems[chosen]})
-    with demanded(sandboxed):
-        plant = built_plants(alone.problems, progress)[chosen]
-    single = _of_one_case(alone.problem, controller, within, study.seeds[0] if seed is None else seed)
-    (case,) = cases_of(single, plant)
-    if case.late:
-        raise ConfigError(f'controller "{controller}": {case.late}')
-    if sandboxed:
-        case = replace(case, sandbox=require())
+    case, single = single_case(
+        resolved,
+        controller,
+        progress,
+        problem=problem,
+        scenario=scenario,
+        seed=seed,
+        sandboxed=sandboxed,
+    )
     facts = {
         "controller": controller,
         "study": resolved.head.name,
-        "problem": "" if len(resolved.problems) == 1 else chosen,
-        "scenario": within,
+        "problem": "" if len(resolved.problems) == 1 else problem,
+        "scenario": case.scenario,
         "seed": case.seed,
         "case": case.id,
     }
@@ -105,31 +100,6 @@ def _check_wishes(path: Path, platforms: str | Sequence[str] | None) -> None:
         faults.append(str(error))
     if faults:
         raise ConfigError(faults)
-
-
-def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = False) -> str:
-    """Return a name that there is; without one the first, or the only one."""
-    listed = list(known)
-    if name is None:
-        if only and len(listed) > 1:
-            raise ConfigError(f"the study has several {what}s: choose one by --{what}: {', '.join(listed)}")
-        return listed[0]
-    if name not in listed:
-        raise ConfigError(f'the study has no {what} "{name}"; {did_you_mean(name, listed)}')
-    return name
-
-
-def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: int) -> ResolvedStudy:
-    """Return the study reduced to one case."""
-    study = resolved.study
-    parts: dict[str, Any] = {
-        "seeds": [seed],
-        "controllers": {controller: study.controllers[controller]},
-        "scenarios": {scenario: study.scenarios[scenario]},
-        "requirements": None,
-        "report": type(study.report)(),
-    }
-    return replace(resolved, study=replace(study, **parts))
 
 
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:

@@ -275,6 +275,22 @@ def start_controller(controller: Controller, loop: Loop) -> None:
         raise ControllerError(f"{who} changed horizon from {horizon} to {after}; set it before")
 
 
+def restart_controller(controller: Controller, loop: Loop) -> None:
+    """Have a started controller begin anew with another past, which may raise any CosimError itself."""
+    with _ControllerCall(controller, "restart", allowed=CosimError):
+        controller.restart(loop)
+
+
+def past_length_of(controller: Controller) -> int:
+    """Return how many samples of a running plant's past a started controller needs, an integer >= 0."""
+    with _ControllerCall(controller, "past_length", allowed=CosimError):
+        length = controller.past_length
+        if not isinstance(length, int | np.integer) or isinstance(length, bool) or length < 0:
+            what = f"{type(controller).__name__}.past_length = {length!r}"
+            raise ControllerError(f"{what} is not possible; allowed: an integer >= 0")
+        return int(length)
+
+
 def horizon_of(controller: Controller) -> int:
     """Return how many future references a controller wants, an integer >= 0."""
     with _ControllerCall(controller, "horizon", allowed=CosimError):

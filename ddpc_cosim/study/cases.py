@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from ddpc_cosim.errors import (
 )
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop import safe_calls
+from ddpc_cosim.loop.logged import LoggedPlant, LoggedSignals, TakingOver
 from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, Resumption, cosimulate
 from ddpc_cosim.loop.outlook import Limit, Limits, table_widths
 from ddpc_cosim.loop.trace import Outcome, Trace
@@ -71,6 +72,7 @@ _WHERE_SAID = (
     "warm_up",
     "warm_up_controller",
     "resumed",
+    "replayed",
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
@@ -81,6 +83,24 @@ _LONGEST_NAME = 80
 _RESTING, _PLANT_CONTROL = "idle", "plant"
 """The controllers, by entry point, that leave the inputs at rest, and to the plant's own control."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
+
+
+class Replayed(NamedTuple):
+    """A log that stands in for a case's plant.
+
+    Parameters
+    ----------
+    signals : LoggedSignals
+        What was logged.
+    first : int
+        Which of its samples is the first of the run.
+    learned_in : Case
+        The case on the plant itself, in which the controller learns.
+    """
+
+    signals: LoggedSignals
+    first: int
+    learned_in: "Case"
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +174,8 @@ class Case:
         Type and settings of the controller that it has then; None: its own control.
     resumed : Resumption or None
         The state of another run that it goes on from.
+    replayed : Replayed or None
+        The log that stands in for the plant.
     keeps_state : bool
         Whether the plant's state at its end is kept, which does not decide the result.
     metrics : MetricSettings
@@ -215,6 +237,7 @@ class Case:
     warm_up_controller: dict[str, Any] | None = None
     resumed: Resumption | None = None
     keeps_state: bool = False
+    replayed: Replayed | None = None
 
     @property
     def name(self) -> str:
@@ -571,6 +594,8 @@ def _open(case: Case) -> Plant:
 def _trace(case: Case, store: RowStore | None) -> Trace:
     store = store or row_store(case)
     safe_calls.announce_calls(store.announce)
+    if case.replayed is not None:
+        return _replay(case, case.replayed, store)
     try:
         plant = _open(case)
     except CosimError as error:
@@ -595,6 +620,23 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
         return _close_the_loop(case, plant, _controller(case.section, case.plant), store)
     except CosimError as error:
         return _not_begun(case, error)
+
+
+def _replay(case: Case, replayed: Replayed, store: RowStore) -> Trace:
+    """Have the controller of a case take over at each sample of a log, when it has what it learns from."""
+    signals, first, learned_in = replayed
+    try:
+        controller = controller_of(case)
+        if learned_in.excitation is not None and safe_calls.learns_from_recording(controller):
+            controller, loop = started(learned_in)
+            case = replace(case, recording=loop.recording)
+        acting = {v.name: v for v in learned_in.undriven}
+        inputs = (*case.inputs, *(acting[name] for name in case.disturbances if name in acting))
+        takes_over = TakingOver(controller, signals, first)
+        trace = _close_the_loop(case, LoggedPlant(signals, inputs, first), takes_over, store)
+    except CosimError as error:
+        return _not_begun(case, error)
+    return replace(trace, solve_time=np.array(takes_over.seconds[: len(trace)]))
 
 
 def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:

@@ -22,6 +22,7 @@ from ddpc_cosim.loop.outlook import Limit
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
+from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.settings import Search
 from ddpc_cosim.signals.disturbances import Knowledge, KnownDisturbance
 from ddpc_cosim.signals.excitations import Excitation, sampling_faults
@@ -43,6 +44,7 @@ from ddpc_cosim.study.file_format.sections import (
 from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
 from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, plain
 from ddpc_cosim.study.reading import read_file, resolve_file
+from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
 from fmu_plants.files import write_atomically
@@ -696,11 +698,25 @@ class Study:
         where = (executor, scheduler, shard, storage, keep_files)
         selection = Selection(jobs, list(seeds), only, fresh, sandbox, *where)
         if progress is not True:
-            return run_study(resolve_file(file), folder, selection, progress or _Silent())
+            return run_study(resolve_file(file), folder, selection, progress or Silent())
         from ddpc_cosim.cli.progress import display
 
         with display(f"reading {self.name}") as following:
             return run_study(resolve_file(file), folder, selection, following)
+
+    def resolved(self) -> ResolvedProblems:
+        """Return the study, checked, as commands read it.
+
+        Raises
+        ------
+        ConfigError
+            Everything in the study that does not fit.
+        """
+        if not self._recordings:
+            return resolve_file(self._file)
+        with ScratchFolder() as folder:  # what lies there has been read then
+            self._write_recordings(folder)
+            return resolve_file(replace(self._file, folder=folder))
 
     def _write_recordings(self, folder: Path) -> None:
         for name, problem in self._recordings.items():
@@ -730,7 +746,7 @@ def _table(tables: Table, key: str) -> Table:
     return content if isinstance(content, dict) else {}
 
 
-class _Silent:
+class Silent:
     """Shows nothing."""
 
     def prepare(self, what: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ddpc_cosim import LogSummary, Picture, Simulation, StudyResults, Trace
+    from ddpc_cosim import LogSummary, Picture, Replay, Simulation, StudyResults, Trace
     from ddpc_cosim.files.tables import Table
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "write_latex",
     "write_log",
     "write_markdown",
+    "write_replay",
     "write_report",
     "write_simulation",
 ]
@@ -171,6 +172,26 @@ def write_log(summary: "LogSummary", path: Path) -> Path:
     from ddpc_reports.log import log_page
 
     return _written(log_page(summary), path)
+
+
+def write_replay(replay: "Replay", path: Path) -> Path:
+    """Write one HTML page about what a controller would have done beside what a log says was done.
+
+    Parameters
+    ----------
+    replay : Replay
+        What came of it.
+    path : Path
+        The file to write; an existing one is replaced.
+
+    Returns
+    -------
+    path : Path
+        The file written.
+    """
+    from ddpc_reports.replay import replay_page
+
+    return _written(replay_page(replay), path)
 
 
 class Pictures:
