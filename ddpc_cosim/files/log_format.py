@@ -96,7 +96,7 @@ class LogFormat(Section):
 
     part: Annotated[list[float], Rule(_part)] = setting(
         WHOLE,
-        doc="which of all samples are taken, from one share of them to another: [0.5, 1.0] is the second half",
+        doc="which samples are taken, from one share of them to another: [0.5, 1.0] is the second half",
     )
 
     @property

@@ -1,4 +1,4 @@
-"""Logs as a plant for a step test: its identified model, without noise, and what of the logs a study takes."""
+"""Logs as a plant for a step test: its identified model without noise, and what of them a study takes."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -174,8 +174,8 @@ class LoggedSystem:
                 *(f"Done to the rows: {words}" for words in self._treatments),
             ),
             "recording": (
-                "Controllers learn from the first half of the rows, so that none is judged by a model of what "
-                "it learned from.",
+                "Controllers learn from the first half of the rows, so that none is judged by a model of the "
+                "rows that it learned from.",
             ),
             "bounds": ("Limits of the inputs: between what values they were in the log.",),
         }

@@ -48,7 +48,7 @@ def init(
     sandbox: bool = options.SANDBOX,
     library_path: tuple[Path, ...] = options.LIBRARY_PATH,
 ) -> int:
-    """Write a study for an FMU, an SSP, FMUs that it connects, or logs, with controllers that were tried on it."""
+    """Write a study for an FMU, an SSP, FMUs that it connects, or logs; its controllers were tried on it."""
     from ddpc_cosim.suggestion.values import number_or_text
 
     files = [Path(text) for text in at if "=" not in text and text.lower().endswith(_TABLES)]
