@@ -24,7 +24,7 @@ What is known to disturb the plant can be fed forward, by an addition to v: see
 :mod:`ddpc_controllers.models.feedforward`.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
@@ -32,10 +32,23 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from ddpc_controllers.checks import prior_info, without_forecast
-from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
+from ddpc_controllers.data.hankel import (
+    count_windows,
+    matching_recording,
+    resting_input,
+    window_starts,
+    without_first,
+)
 from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
-from ddpc_controllers.models.identification import fit_arx, never_moved
+from ddpc_controllers.models.identification import choose_lags, fit_arx, never_moved
+from ddpc_controllers.models.virtual_reference import (
+    ReferenceModel,
+    filtered,
+    noise_free,
+    virtual_reference_gains,
+    wanted_loop,
+)
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
@@ -58,7 +71,11 @@ _FASTEST_POLE = 1e-3
 _FILTER = 0.1
 _SAMPLES = 4
 _LARGEST_SENSITIVITY = 1.7
-_SLOWER, _SLOWEST = 1.02, 1e3
+_SLOWER, _COARSER, _SLOWEST = 1.02, 1.05, 1e3
+_FILTER_PASSES = 2
+_STEP = 3
+_ROUNDING = 1e-6
+_UNDECIDED = 3.0
 _FREQUENCIES, _NEAR = np.geomspace(1e-6, np.pi, 1000), np.linspace(-3.0, 3.0, 25)
 
 
@@ -91,21 +108,27 @@ class TunedLoops(NamedTuple):
     closed_loop_time : array, shape (loops,)
         Time constant of the closed loop that keeps the margin [s]: the loop's, unless one was asked for;
         infinite if none does.
+    by_virtual_reference : array, shape (loops,)
+        1 where the gains are those of a virtual reference, 0 where they are SIMC's.
+    remarks : tuple of str
+        What a user has to know of it.
     """
 
     gains: Gains
     maximum_sensitivity: FloatArray
     closed_loop_time: FloatArray
+    by_virtual_reference: FloatArray
+    remarks: tuple[str, ...]
 
 
 class PulseTransferFunction(NamedTuple):
-    """``y = z^-delay (b_1 z + b_2) / (z^2 + a_1 z + a_2) u``.
+    """``y = z^-delay (b_1 z^(n-1) + ... + b_n) / (z^n + a_1 z^(n-1) + ... + a_n) u``.
 
     The name is that of K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, chapter 2.
 
     Parameters
     ----------
-    numerator, denominator : array, shapes (2,) and (3,)
+    numerator, denominator : array, shapes (n,) and (n + 1,)
         Coefficients of falling powers of z.
     delay : int
         Samples.
@@ -128,11 +151,14 @@ class SecondOrder:
         The poles [1/s].
     delay : float
         theta [s], inverse response included.
+    growth : float
+        By how much the fitted model grows by itself in a sample, where that is too little to be sure of it.
     """
 
     gain: float
     poles: tuple[complex, complex]
     delay: float
+    growth: float = 0.0
 
 
 def fewest_test_samples(inputs: int) -> int:
@@ -141,9 +167,23 @@ def fewest_test_samples(inputs: int) -> int:
 
 
 def tune_from_recording(
-    recording: Recording, pairs: Sequence[int], closed_loop_time: float = 0.0
+    recording: Recording,
+    pairs: Sequence[int],
+    closed_loop_time: float = 0.0,
+    reference: "VirtualReference | None" = None,
 ) -> TunedLoops:
     """Tune one loop per output, the input of output i being ``pairs[i]``.
+
+    Parameters
+    ----------
+    recording : Recording
+        The experiment.
+    pairs : sequence of int
+        The input of every output.
+    closed_loop_time : float
+        Time constant asked of the closed loops [s]; 0: by the recording.
+    reference : VirtualReference, optional
+        Tune by virtual references; default: by the SIMC rules.
 
     Raises
     ------
@@ -156,32 +196,170 @@ def tune_from_recording(
         raise DataError(
             f"PID: the recording has {len(recording)} samples; a step test takes at least {needed}"
         )
-    loops = [_tune_one(recording, output, chosen, closed_loop_time) for output, chosen in enumerate(pairs)]
-    *gains, sensitivities, times = (np.array(values) for values in zip(*loops, strict=True))
-    return TunedLoops(Gains(*gains), sensitivities, times)
+    loops = [
+        _tune_by_virtual_reference(recording, pair, closed_loop_time, reference)
+        if reference
+        else _tune_by_simc(recording, pair, closed_loop_time)
+        for pair in enumerate(pairs)
+    ]
+    return TunedLoops(
+        Gains(*np.array([loop.gains for loop in loops]).T),
+        np.array([loop.maximum_sensitivity for loop in loops]),
+        np.array([loop.closed_loop_time for loop in loops]),
+        np.array([float(loop.by_virtual_reference) for loop in loops]),
+        tuple(remark for loop in loops for remark in loop.remarks),
+    )
 
 
-def _tune_one(recording: Recording, output: int, chosen: int, wanted: float) -> tuple[float, ...]:
-    """Return the gains of a loop, its maximum sensitivity, and the time constant that keeps the margin."""
-    h, (model, sampled) = recording.sampling_time, fit_second_order(recording, output, chosen)
-    first = time = wanted or _rule_of_thumb(model, h)
-    gains = simc(model, h, time)
-    reached = margin = sensitivity(sampled, gains, h)
+@dataclass(frozen=True, slots=True)
+class VirtualReference:
+    """What a loop tuned by virtual references consists of.
+
+    Parameters
+    ----------
+    parts : str
+        Which of P, I and D.
+    filter_time : float
+        T_f [s]; 0: as the SIMC rules have it here.
+    setpoint_share : float
+        b of the loop.
+    """
+
+    parts: str
+    filter_time: float
+    setpoint_share: float
+
+    def gains(
+        self,
+        recording: Recording,
+        pair: tuple[int, int],
+        model: ReferenceModel,
+        instrument: FloatArray | None,
+    ) -> tuple[float, ...]:
+        """Return K_p, K_i, K_d and T_f; a derivative part that works against the others is left out."""
+        time, parts = self.filter_time, self.parts
+        kp, ki, kd = virtual_reference_gains(recording, pair, model, parts, time, instrument).tolist()
+        for _ in range(_FILTER_PASSES):  # the filter is that of the gains, which depend on it a little
+            if self.filter_time or not kp * ki * kd:
+                break
+            time = _FILTER * min(abs(kd / kp), sqrt(abs(kd / ki)))
+            kp, ki, kd = virtual_reference_gains(recording, pair, model, parts, time, instrument).tolist()
+        if kd * ki < 0.0:
+            parts = parts.replace("D", "")
+            kp, ki, kd = virtual_reference_gains(recording, pair, model, parts, 0.0, instrument).tolist()
+        return kp, ki, kd, time
+
+
+class _TunedLoop(NamedTuple):
+    """One loop; the fields are those of :class:`TunedLoops`."""
+
+    gains: tuple[float, ...]
+    maximum_sensitivity: float
+    closed_loop_time: float
+    by_virtual_reference: bool = False
+    remarks: tuple[str, ...] = ()
+
+
+def _tune_by_simc(recording: Recording, pair: tuple[int, int], wanted: float) -> _TunedLoop:
+    h, (output, chosen) = recording.sampling_time, pair
+    model, sampled = fit_second_order(recording, output, chosen)
+    first = wanted or _rule_of_thumb(model, h)
+    loop = _with_margin(lambda time: simc(model, h, time), sampled, h, first, bool(wanted), _SLOWEST * first)
+    if not (wanted or isfinite(loop.closed_loop_time)):
+        raise DataError(
+            f"PID: no closed_loop_time up to {_SLOWEST * first:.4g} s gives the loop of output {output} and "
+            f"input {chosen} a maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: "
+            "tune by hand"
+        )
+    return loop._replace(remarks=_integrates(output, model))
+
+
+def _tune_by_virtual_reference(
+    recording: Recording, pair: tuple[int, int], wanted: float, reference: VirtualReference
+) -> _TunedLoop:
+    """Tune a loop by a virtual reference; by SIMC where that is the better one on a model of the recording.
+
+    The reference model has the delay and the longest lag of the model that SIMC takes. The model by which
+    loops are judged is autoregressive, with as many lags as explain the output best.
+    """
+    h, (output, chosen) = recording.sampling_time, pair
+    model, _ = fit_second_order(recording, output, chosen)
+    by_simc = _tune_by_simc(recording, pair, wanted)
+    y = recording.y[:, [output]]
+    alone = replace(recording, y=y, measured=y)
+    fitted = fit_arx(alone, choose_lags(alone))
+    plant = PulseTransferFunction(fitted.b[:, chosen], np.append(1.0, -fitted.a[:, 0]), 0)
+    late = int(np.ceil(model.delay / h - _ROUNDING))
+    lag = -1.0 / max(pole.real for pole in model.poles) if model.poles[0].imag == 0.0 else h
+    instrument = noise_free(recording, pair)
+
+    def gains(time: float) -> tuple[float, ...]:
+        integral_time = min(lag, 4.0 * (time + model.delay + h / 2.0))
+        return reference.gains(recording, pair, wanted_loop(time, late, h, lag, integral_time), instrument)
+
+    def instead(why: str) -> _TunedLoop:
+        remark = f"PID: loop {output} has the gains of tuning = 'step-test': {why}"
+        return by_simc._replace(remarks=(*by_simc.remarks, remark))
+
+    first = wanted or _rule_of_thumb(model, h)
+    try:
+        loop = _with_margin(gains, plant, h, first, bool(wanted), max(first, len(recording) * h), _COARSER)
+    except DataError as fault:
+        return instead(str(fault).removeprefix("PID: "))
+    if not isfinite(loop.maximum_sensitivity) or not (wanted or isfinite(loop.closed_loop_time)):
+        return instead(
+            "those of a virtual reference "
+            + ("are unstable" if wanted else f"have no maximum sensitivity of {_LARGEST_SENSITIVITY}")
+            + " on the model of the recording"
+        )
+    # Who asked for fewer parts gets them; of the same parts, the better gains.
+    if reference.parts == "PID" and sensitivity(plant, by_simc.gains, h) <= _LARGEST_SENSITIVITY:
+        samples, share = _STEP * len(recording), reference.setpoint_share
+        error, of_simc = (
+            _left_after_step(plant, candidate.gains, h, share, samples) for candidate in (loop, by_simc)
+        )
+        if of_simc < error:
+            return instead(
+                "on the model of the recording they follow a step better, with a summed error of "
+                f"{of_simc:.3g} samples in place of {error:.3g}"
+            )
+    return loop._replace(by_virtual_reference=True, remarks=by_simc.remarks)
+
+
+def _with_margin(
+    gains_of: Callable[[float], tuple[float, ...]],
+    plant: PulseTransferFunction,
+    h: float,
+    first: float,
+    keeps_first: bool,
+    last: float,
+    slower: float = _SLOWER,
+) -> _TunedLoop:
+    """Return the loop with the first closed-loop time that keeps the margin, or with ``first`` itself.
+
+    Its time is infinite where none up to ``last`` keeps it.
+    """
+    time, gains = first, gains_of(first)
+    reached = margin = sensitivity(plant, gains, h)
     while margin > _LARGEST_SENSITIVITY:
-        time *= _SLOWER
-        if time > _SLOWEST * first:
+        time *= slower
+        if time > last:
             time = inf
             break
-        slower = simc(model, h, time)
-        margin = sensitivity(sampled, slower, h)
-        if not wanted:
-            gains, reached = slower, margin
-    if wanted or isfinite(time):
-        return *gains, reached, time
-    raise DataError(
-        f"PID: no closed_loop_time up to {_SLOWEST * first:.4g} s gives the loop of output {output} and "
-        f"input {chosen} a maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: "
-        "tune by hand"
+        slowed = gains_of(time)
+        margin = sensitivity(plant, slowed, h)
+        if not keeps_first:
+            gains, reached = slowed, margin
+    return _TunedLoop(gains, reached, time)
+
+
+def _integrates(output: int, model: SecondOrder) -> tuple[str, ...]:
+    """Return the warning that an output grows by itself, if so little that it counts as integrating."""
+    if not model.growth:
+        return ()
+    return (
+        f"PID: output {output} of the recording grows by itself, by {model.growth:.4g} a sample, which "
+        "cannot be told from an integrating plant: it is tuned as one",
     )
 
 
@@ -197,14 +375,7 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
     sampling_time : float
         h [s].
     """
-    kp, ki, kd, filter_time = gains
-    integrates, filters = np.array([1.0, -1.0]), np.array([filter_time + sampling_time, -filter_time])
-    # C = K_p + h K_i z / (z - 1) + K_d (z - 1) / ((T_f + h) z - T_f)
-    denominator = np.convolve(integrates, filters)
-    numerator = kp * denominator + np.convolve([sampling_time * ki, 0.0], filters)
-    numerator = numerator + kd * np.convolve(integrates, integrates)
-    open_loop = np.convolve(np.append(model.denominator, np.zeros(model.delay)), denominator)
-    closed_loop = np.polyadd(open_loop, np.convolve(model.numerator, numerator))
+    open_loop, _, closed_loop = _closed(model, gains, sampling_time)
     poles = np.roots(closed_loop)
     if np.abs(poles).max() >= 1.0:
         return float("inf")
@@ -212,6 +383,30 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
     near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
     z = np.exp(1j * np.append(_FREQUENCIES, near_poles))
     return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
+
+
+def _closed(
+    model: PulseTransferFunction, gains: Sequence[float], h: float, share: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the denominator of the open loop, and numerator and denominator of the one from r to y."""
+    kp, ki, kd, filter_time = gains
+    integrates, filters = np.array([1.0, -1.0]), np.array([filter_time + h, -filter_time])
+    # C = K_p + h K_i z / (z - 1) + K_d (z - 1) / ((T_f + h) z - T_f); from r a share of K_p, and no D
+    denominator = np.convolve(integrates, filters)
+    integral = np.convolve([h * ki, 0.0], filters)
+    feedback = kp * denominator + integral + kd * np.convolve(integrates, integrates)
+    open_loop = np.convolve(np.append(model.denominator, np.zeros(model.delay)), denominator)
+    closed_loop = np.polyadd(open_loop, np.convolve(model.numerator, feedback))
+    return open_loop, np.convolve(model.numerator, share * kp * denominator + integral), closed_loop
+
+
+def _left_after_step(
+    model: PulseTransferFunction, gains: Sequence[float], h: float, share: float, samples: int
+) -> float:
+    """Return the sum of the absolute error after a unit step of the reference, in samples."""
+    _, numerator, denominator = _closed(model, gains, h, share)
+    late = np.append(np.zeros(len(denominator) - len(numerator)), numerator)
+    return float(np.abs(1.0 - filtered(late, denominator, np.ones((samples, 1)))).sum())
 
 
 def _rule_of_thumb(model: SecondOrder, sampling_time: float) -> float:
@@ -245,15 +440,22 @@ def fit_second_order(
     ]
     models = [fit_arx(_delayed(recording, output, d), _LAGS) for d in delays]
     delay = delays[int(np.argmin([model.fit["one_step_error"] for model in models]))]
-    model = fit_arx(without_first(_delayed(recording, output, delay), delay), _LAGS)
+    used = without_first(_delayed(recording, output, delay), delay)
+    model = fit_arx(used, _LAGS)
     discrete = np.roots([1.0, *(-model.a[:, 0])])
-    if np.abs(discrete).max() > 1.0 + 1.0 / samples:
+    # A pole this near to the circle is not told from one on it, or not by this recording.
+    undecided = min(
+        _UNDECIDED * _standard_error(used, model.a[:, 0], complex(max(discrete, key=abs))),
+        _UNDECIDED / samples,
+    )
+    if np.abs(discrete).max() > 1.0 + max(undecided, 1.0 / samples):
         raise DataError(
             f"PID: output {output} of the recording grows by itself, by up to {np.abs(discrete).max():.4g} a "
             "sample: tune by hand"
         )
     # What is slower than the experiment counts as ten times as long, what is faster than sampling as instant.
     slowest = np.exp(-0.1 / samples)
+    growth = max(float(np.abs(discrete).max()), 1.0)
     held = np.poly([pole * min(1.0, slowest / max(abs(pole), _FASTEST_POLE)) for pole in discrete])
     sampled = PulseTransferFunction(model.b[:, chosen], np.asarray(held.real, dtype=np.float64), delay)
     discrete = np.array([_within(pole, _FASTEST_POLE, slowest) for pole in discrete])
@@ -262,7 +464,32 @@ def fit_second_order(
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
     inverse = _inverse_response(model.b[:, chosen], h)
-    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse), sampled
+    growth = growth if growth > 1.0 + 1.0 / samples else 0.0
+    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse, growth), sampled
+
+
+def _standard_error(recording: Recording, a: FloatArray, pole: complex) -> float:
+    """Return that of the size of the largest pole of ``z^2 - a_1 z - a_2``, fitted to an output.
+
+    The covariance of the coefficients, propagated to first order (L. Ljung, System Identification, 2nd ed.,
+    sections 9.4 and 9.5).
+    """
+    signals = np.hstack([recording.y, recording.u, recording.d])
+    starts = window_starts(len(signals), _LAGS + 1, recording.seams)
+    past = np.hstack([signals[starts + _LAGS - i] for i in range(1, _LAGS + 1)])
+    past = np.hstack([past, recording.d[starts + _LAGS], np.ones((len(starts), 1))])
+    size = np.abs(past).max(axis=0)
+    size[size == 0.0] = 1.0
+    past, now = past / size, recording.y[starts + _LAGS, 0]
+    rest = now - past @ np.linalg.lstsq(past, now)[0]
+    variance = rest @ rest / max(len(now) - past.shape[1], 1)
+    own = [i * signals.shape[1] for i in range(_LAGS)]
+    covariance = (np.linalg.pinv(past.T @ past) * variance)[np.ix_(own, own)] / np.outer(size[own], size[own])
+    if pole * 2.0 == a[0]:  # a double pole moves infinitely fast
+        return inf
+    slope = np.array([pole, 1.0]) / (2.0 * pole - a[0])
+    along = (np.conj(pole) / abs(pole) * slope).real
+    return float(np.sqrt(max(along @ covariance @ along, 0.0)))
 
 
 def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0) -> tuple[float, ...]:
@@ -321,7 +548,8 @@ def _within(pole: complex, fastest: float, slowest: float) -> complex:
     return complex(min(max(pole.real, fastest), slowest))
 
 
-Tuning = Literal["manual", "step-test"]
+Tuning = Literal["manual", "step-test", "virtual-reference"]
+Structure = Literal["pid", "pi", "i"]
 AntiWindup = Literal["back-calculation", "clamping"]
 
 
@@ -337,12 +565,19 @@ class PID(Exportable):
     _follows_in_c: ClassVar[bool] = True
 
     tuning: Tuning = setting(
-        "manual", choices=("manual", "step-test"), doc="gains as given, or by SIMC from the recording"
+        "manual",
+        choices=("manual", "step-test", "virtual-reference"),
+        doc="gains as given; from the recording by SIMC, or by a virtual reference",
+    )
+    structure: Structure = setting(
+        "pid", choices=("pid", "pi", "i"), doc="virtual-reference: the parts of the controller"
     )
     proportional: Weight = setting(1.0, doc="K_p", search=Factor(0.1, 10.0))
     integral: Weight = setting(0.0, doc="K_i [1/s]", search=Factor(0.1, 10.0))
     derivative: Weight = setting(0.0, doc="K_d [s]", search=Factor(0.1, 10.0))
-    filter_time: float = setting(0.0, low=0.0, unit="s", doc="T_f of the derivative filter; 0: none")
+    filter_time: float = setting(
+        0.0, low=0.0, unit="s", doc="T_f of the derivative filter; 0: none, or if tuned by a rule"
+    )
     setpoint_share: float = setting(
         1.0,
         low=0.0,
@@ -360,7 +595,7 @@ class PID(Exportable):
         0.0,
         low=0.0,
         unit="s",
-        doc="step-test: time constant asked of the closed loop; 0: SIMC's, or four samples, or what "
+        doc="if tuned: time constant asked of the closed loop; 0: SIMC's, or four samples, or what "
         "keeps a maximum sensitivity of 1.7",
         search=Factor(0.2, 5.0),
     )
@@ -377,7 +612,7 @@ class PID(Exportable):
     @property
     def uses_recording(self) -> bool:
         """Whether ``start`` needs a recording."""
-        return self.tuning == "step-test" or self.feedforward
+        return self.tuning != "manual" or self.feedforward
 
     def start(self, loop: Loop) -> None:
         """Tune the loops, or take the gains as given.
@@ -390,7 +625,7 @@ class PID(Exportable):
             The pairing or a gain does not fit the number of signals.
         """
         self._pairs = self._checked_pairs(len(loop.inputs), len(loop.outputs))
-        self._tuned = self._tune(loop) if self.tuning == "step-test" else None
+        self._tuned = self._tune(loop) if self.tuning != "manual" else None
         self._gains = self._tuned.gains if self._tuned else self._given()
         h = loop.sampling_time
         self._sampling_time = self._elapsed = h
@@ -444,7 +679,7 @@ class PID(Exportable):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""
-        prior = "nothing" if self.tuning == "step-test" else "gains, as they are set"
+        prior = "nothing" if self.tuning != "manual" else "gains, as they are set"
         fed_forward = loop.disturbances if self._forward else ()
         return without_forecast(prior_info(prior, loop.outputs, fed_forward), loop)
 
@@ -499,6 +734,8 @@ class PID(Exportable):
         shown = self._gains._asdict()
         if self._tuned:
             shown["maximum_sensitivity"] = self._tuned.maximum_sensitivity
+        if self.tuning == "virtual-reference" and self._tuned:
+            shown["by_virtual_reference"] = self._tuned.by_virtual_reference
         if self._forward:
             total = self._forward.gains.sum(axis=1)
             shown |= {f"feedforward_gain_{j}": gain for j, gain in enumerate(total.T)}
@@ -512,8 +749,8 @@ class PID(Exportable):
         """Return which loops are faster, as asked for, than the model of the recording lets them."""
         if not self._tuned:
             return self._still
-        _, sensitivities, times = self._tuned
-        return [*self._still] + [
+        _, sensitivities, times, _, remarks = self._tuned
+        return [*self._still, *remarks] + [
             f"PID: closed_loop_time = {self.closed_loop_time:g} s "
             + (
                 f"gives loop {i} a maximum sensitivity of {sensitivity:.3g}"
@@ -602,5 +839,7 @@ class PID(Exportable):
         return Gains(proportional, integral, derivative, np.full(loops, self.filter_time))
 
     def _tune(self, loop: Loop) -> TunedLoops:
-        recording = matching_recording(loop, "PID")
-        return tune_from_recording(recording, self._pairs, self.closed_loop_time)
+        recording, reference = matching_recording(loop, "PID"), None
+        if self.tuning == "virtual-reference":
+            reference = VirtualReference(self.structure.upper(), self.filter_time, self.setpoint_share)
+        return tune_from_recording(recording, self._pairs, self.closed_loop_time, reference)

@@ -87,6 +87,7 @@ MODEL_BASED: dict[str, Controller] = {
     "mpc": MPC(),
     "lqr": LQR(),
     "pid-step-test": PID(tuning="step-test"),
+    "pid-virtual-reference": PID(tuning="virtual-reference"),
     "koopman": KoopmanMPC(),
     "koopman-delays": KoopmanMPC(state="delays", dictionary=Delays(samples=2)),
     "scaled-koopman": Scaled(controller=KoopmanMPC()),

@@ -66,6 +66,7 @@ LEARNING: dict[str, Controller] = {
     "mpc": MPC(),
     "lqr": LQR(),
     "pid": PID(tuning="step-test"),
+    "pid-virtual-reference": PID(tuning="virtual-reference"),
     "scaled": Scaled(controller=printed_deepc()),
     "offset-free": OffsetFree(controller=printed_deepc()),
 }

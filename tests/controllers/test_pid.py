@@ -25,6 +25,7 @@ from .loops import (
 )
 
 H = 0.1
+TUNED: tuple[Any, ...] = ("step-test", "virtual-reference")
 FREE = make_loop(None, np.full(1, np.inf), np.full(1, np.inf))
 
 
@@ -292,5 +293,76 @@ def test_a_time_that_was_asked_for_is_kept_where_no_other_keeps_the_margin(
 def test_an_unstable_plant_is_not_tuned() -> None:
     u = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 1))
     grows = experiment(lambda x, v: 1.3 * x + v, u, 1, np.eye(1))
+    for tuning in TUNED:
+        with pytest.raises(DataError, match=r"grows by itself, by up to 1\.3 a sample"):
+            PID(tuning=tuning).start(make_loop(grows, np.ones(1), np.ones(1)))
     with pytest.raises(DataError, match=r"grows by itself, by up to 1\.3 a sample"):
         fit_second_order(grows, 0, 0)
+
+
+def nearly_integrating(growth: float) -> Recording:
+    """A plant that grows a little by itself, with so much noise that this cannot be seen."""
+    rng = np.random.default_rng(0)
+    u, y = rng.uniform(-1.0, 1.0, (150, 1)), np.zeros((150, 1))
+    for k in range(1, 150):
+        y[k] = growth * y[k - 1] + 0.1 * u[k - 1]
+    y += 0.02 * rng.standard_normal(y.shape)
+    return Recording(u, y, y, H)
+
+
+@pytest.mark.parametrize("tuning", TUNED)
+def test_an_estimate_that_grows_by_a_hair_is_tuned_as_an_integrator(tuning: Any) -> None:
+    recording = nearly_integrating(1.008)
+    model, _ = fit_second_order(recording, 0, 0)
+    assert model.growth > 1.0 + 1.0 / 150  # beyond what counts as integrating whatever the noise
+    controller = PID(tuning=tuning)
+    loop = make_loop(recording, np.array([np.inf]), np.array([np.inf]))
+    run = close_loop(
+        controller, loop, lambda x, u: 1.008 * x + 0.1 * u, np.eye(1), np.ones((402, 1)), steps=400
+    )
+    assert np.abs(run.y[-50:] - 1.0).max() < 0.02
+    assert any("cannot be told from an integrating plant" in warning for warning in controller.warnings())
+
+
+def lag_recording() -> Recording:
+    """Two lags, without noise."""
+    u, y = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 1)), np.zeros((200, 1))
+    for k in range(2, 200):
+        y[k] = 1.5 * y[k - 1] - 0.56 * y[k - 2] + 0.05 * u[k - 1]
+    return Recording(u, y, y, H)
+
+
+@pytest.mark.parametrize(("structure", "parts"), [("pid", "111"), ("pi", "110"), ("i", "010")])
+def test_a_virtual_reference_keeps_to_the_structure(structure: Any, parts: str) -> None:
+    loop = make_loop(lag_recording(), np.array([np.inf]), np.array([np.inf]))
+    controller = PID(tuning="virtual-reference", structure=structure, closed_loop_time=1.5)
+    controller.start(loop)
+    shown = controller.diagnostics()
+    assert shown["by_virtual_reference[0]"] == 1.0
+    gains = [shown[f"{name}[0]"] != 0.0 for name in ("proportional", "integral", "derivative")]
+    assert gains == [part == "1" for part in parts]
+
+
+def test_without_a_stable_loop_the_gains_are_those_of_the_step_test_which_is_said() -> None:
+    """An integral part alone cannot stabilise an integrating plant."""
+    rng = np.random.default_rng(3)
+    recording = experiment(lambda x, v: x + 0.1 * v, rng.uniform(-1.0, 1.0, (120, 1)), 1, np.eye(1))
+    loop = make_loop(recording, np.array([np.inf]), np.array([np.inf]))
+    by_rule, by_reference = PID(tuning="step-test"), PID(tuning="virtual-reference", structure="i")
+    for controller in (by_rule, by_reference):
+        controller.start(loop)
+    shown = dict(by_reference.diagnostics())
+    assert shown.pop("by_virtual_reference[0]") == 0.0
+    assert shown == by_rule.diagnostics()
+    assert [warning.split(":")[1] for warning in by_reference.warnings()] == [
+        " loop 0 has the gains of tuning = 'step-test'"
+    ]
+
+
+def test_a_recording_too_short_for_a_virtual_reference_is_tuned_as_a_step_test() -> None:
+    recording = lag_recording()
+    short = Recording(recording.u[:9], recording.y[:9], recording.y[:9], H)
+    loop = make_loop(short, np.array([np.inf]), np.array([np.inf]))
+    controller = PID(tuning="virtual-reference")
+    controller.start(loop)
+    assert controller.diagnostics()["by_virtual_reference[0]"] in (0.0, 1.0)

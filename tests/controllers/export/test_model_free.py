@@ -33,6 +33,7 @@ ALL = {
     "pid-clamping": PID(proportional=3.0, integral=[2.0], anti_windup="clamping"),
     "pid-tracking": PID(proportional=3.0, integral=2.0, tracking_time=0.5, derivative=0.4),
     "pid-step-test": PID(tuning="step-test"),
+    "pid-virtual-reference": PID(tuning="virtual-reference"),
     "mfapc": MFAPC(limits="clip"),
     "mfapc-qp": MFAPC(lambda_u=0.02, horizon=8, control_horizon=3, scaling="range"),
     "mfapc-pfdl": MFAPC(
@@ -108,7 +109,7 @@ def check(beside: Beside, bound: float = 1e-11, fallbacks: int = 4) -> None:
 @pytest.mark.parametrize("continues", [False, True], ids=["from rest", "continues"])
 @pytest.mark.parametrize(("bench", "name", "controller"), CASES, ids=[name for _, name, _ in CASES])
 def test_the_code_is_the_controller(bench: Bench, name: str, controller: Controller, continues: bool) -> None:
-    if name == "pid-step-test":  # the rules are for monotonic plants
+    if name in ("pid-step-test", "pid-virtual-reference"):  # the rules are for monotonic plants
         bench = Bench(bench.advance, bench.nominal, bench.limits / 50.0, 1, bench.rest)
     check(bench.close(controller, continues_recording=continues))
 
