@@ -1,7 +1,6 @@
 """What a study says of a plant that is identified from data: the logs, and how they become models."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,13 +8,14 @@ import numpy as np
 from ddpc_cosim.codec import Prepared, Size
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import DataError
-from ddpc_cosim.files.csv_files import Column, CSVFile, split_unit
-from ddpc_cosim.files.logs import LogFormat, read_log
+from ddpc_cosim.files.csv_files import Column, split_unit
+from ddpc_cosim.files.log_format import LogFormat
+from ddpc_cosim.files.logs import read_log
 from ddpc_cosim.settings import setting
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 
-Method = Literal["auto", "arx", "armax", "subspace", "hammerstein-wiener", "koopman"]
+Method = Literal["auto", "arx", "armax", "subspace", "hammerstein-wiener"]
 Start = Literal["rest", "log-end"]
 _NAMED = {
     "inputs": "plant.inputs in a study, --input of `ddpc-cosim identify`",
@@ -135,10 +135,9 @@ def read_logged_plant(
         Signals that are not named or have no column, and all that is wrong with the files.
     """
     disturbances = tuple(identification.disturbances)
-    heads = dict(map(split_unit, CSVFile(Path(identification.file[0])).header))
-    columns = [header for header in heads if header not in identification.time_column]
-    if faults := _faults(identification, heads, inputs, outputs):
-        raise DataError([*faults, f"{identification.file[0]} has the columns {', '.join(columns)}"])
+    if faults := _faults(identification, inputs, outputs):
+        there = read_log(identification.file[0], format=identification, lenient=True)
+        raise DataError([*faults, f"{there.files[0]} has the columns {', '.join(there.names)}"])
     names = (*inputs, *disturbances, *outputs)
     headers = [identification.columns.get(name, name) for name in names]
     log = read_log(
@@ -146,6 +145,7 @@ def read_logged_plant(
         sampling_time=identification.sampling_time,
         format=identification,
         columns=[Column(None, header) for header in headers],
+        held={split_unit(header)[0] for header in headers[: -len(outputs)]},
     )
     u, d, y = np.split(log.values, [len(inputs), len(inputs) + len(disturbances)], axis=1)
     still = [name for name, values in zip(inputs, u.T, strict=True) if np.ptp(values) == 0.0]
@@ -156,8 +156,8 @@ def read_logged_plant(
         )
     ends = identification.start == "log-end"
     variables = [
-        _variable(name, heads.get(split_unit(header)[0], ""), values, ends=ends)
-        for name, header, values in zip(names, headers, log.values.T, strict=True)
+        _variable(name, unit, values, ends=ends)
+        for name, unit, values in zip(names, log.units, log.values.T, strict=True)
     ]
     return LoggedPlant(
         Recording(u, y, y, log.sampling_time, log.seams, d),
@@ -172,9 +172,7 @@ def read_logged_plant(
     )
 
 
-def _faults(
-    identification: Identification, heads: dict[str, str], inputs: tuple[str, ...], outputs: tuple[str, ...]
-) -> list[str]:
+def _faults(identification: Identification, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> list[str]:
     """Return what is wrong with the names of signals."""
     given = {"inputs": inputs, "outputs": outputs, "disturbances": tuple(identification.disturbances)}
     faults = [
@@ -185,17 +183,13 @@ def _faults(
     kinds: dict[str, str] = {}
     for kind, names in given.items():
         for name in names:
-            header = identification.columns.get(name, name)
-            if split_unit(header)[0] not in heads:
-                faults.append(f'{kind}: no column "{header}"; {did_you_mean(header, heads)}')
             if name in kinds:
                 faults.append(f'"{name}" is among the {kinds[name]} and the {kind}; it can be one of them')
             kinds.setdefault(name, kind)
-    known = (*kinds, "")
     faults += [
         f'columns: "{name}" is not among the inputs, outputs and disturbances; {did_you_mean(name, kinds)}'
         for name in identification.columns
-        if name not in known
+        if name not in kinds
     ]
     return faults
 

@@ -56,7 +56,7 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
         "noise": dict(zip(outputs, np.sqrt(np.diag(best.covariance)).tolist(), strict=True)),
         "ranges": {name: list(ends) for name, ends in ensemble.ranges.items()},
         "members": len(models),
-        "unstable": sum(constant == np.inf for constant in constants),
+        "unstable": int(np.isinf(constants).sum()),
     }
 
 

@@ -29,7 +29,9 @@ def identify(
     sampling_time: float | None = option(
         None, "Of the model, in s, or such as `1 min` [that of the log].", type=options.DURATION, metavar="H"
     ),
-    method: str = option("auto", "arx, armax, subspace; auto: as predicts best.", show_default=True),
+    method: str = option(
+        "auto", "arx, armax, subspace, hammerstein-wiener; auto: as predicts best.", show_default=True
+    ),
     order: int = option(0, "Past samples, or states [by the data].", type=click.IntRange(0, 200)),
     members: int = option(
         30,
