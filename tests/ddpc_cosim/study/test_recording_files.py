@@ -189,7 +189,7 @@ def test_all_that_is_wrong_with_files_in_one_message(tmp_path: Path) -> None:
         'sort its rows, or write duplicates = "first", by which they are put in the order of time',
         'bad.csv, line 8, column "t [s]": 0.9 s is 0.4 s after the row before; needed: the sampling time '
         '0.1 s, within 1 %; write gaps = "split" to make pieces of it, or missing = 3 to interpolate',
-        'bad.csv, line 10, column "angular_velocity": "nan" is not a finite number; write missing = 1 to '
+        'bad.csv, line 10, column "angle [bar]": "nan" is not a finite number; write missing = 1 to '
         'interpolate up to 1 in a row, or gaps = "split" to leave out such samples',
         "absent.csv: no such file",
     ]
