@@ -10,7 +10,6 @@ A Parquet file has the same columns under the same headers, and may stand wherev
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from datetime import datetime
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
+from ddpc_cosim.files.log_dates import date_in
 from ddpc_cosim.files.tables import csv_records, write_rows
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
@@ -188,8 +188,8 @@ def read_table(
     columns : sequence of Column
         The n columns to read.
     time_column : str
-        Header of the time, in seconds unless it has a unit, or ISO 8601 dates, which count from the first
-        row; empty: the file has none, and times are NaN.
+        Header of the time, in seconds unless it has a unit, or dates in ISO 8601 or dd.mm.yyyy, which count
+        from the first row; empty: the file has none, and times are NaN.
     sampling_time : float, optional
         What rows must be apart [s]; default: times only have to increase.
     tolerance : float
@@ -460,16 +460,16 @@ def _irregular(
 
 
 def _dates(file: CSVFile, index: int, faults: list[str]) -> FloatArray | None:
-    """Return the seconds since the first of ISO 8601 dates; None if the column begins with something else."""
+    """Return the seconds since the first of the dates; None if the column begins with something else."""
     cells = file.cells(index)
-    first = _date(cells[0]) if cells and not np.isfinite(_number(cells[0].replace(",", "."))) else None
+    first = date_in(cells[0]) if cells and not np.isfinite(_number(cells[0].replace(",", "."))) else None
     if first is None:
         return None
     time = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
-        date, fault = _date(cell), ""
+        date, fault = date_in(cell), ""
         if date is None:
-            fault = "is not an ISO 8601 date, as the first one is"
+            fault = "is not a date, as the first one is"
         elif (date.utcoffset() is None) != (first.utcoffset() is None):
             has = ("a", "none") if first.utcoffset() is None else ("no", "one")
             fault = f"has {has[0]} time zone, and the first date has {has[1]}"
@@ -479,10 +479,3 @@ def _dates(file: CSVFile, index: int, faults: list[str]) -> FloatArray | None:
             where = f'{file.path}, line {file.lines[i]}, column "{file.header[index]}"'
             faults.append(f'{where}: "{cell.strip()[:40]}" {fault}')
     return time
-
-
-def _date(cell: str) -> datetime | None:
-    try:
-        return datetime.fromisoformat(cell.strip())
-    except ValueError:
-        return None

@@ -48,6 +48,11 @@ class Dates(NamedTuple):
     are_local: bool
 
 
+def date_in(cell: str, order: str = "") -> datetime | None:
+    """Return the date of a cell: ISO 8601, dd.mm.yyyy, or as ``dmy`` and ``mdy`` say; None if it is none."""
+    return _iso(cell) or _from_parts(cell, order)
+
+
 def is_date(cell: str) -> bool:
     """Whether a cell is a date, though perhaps an ambiguous one."""
     return _iso(cell) is not None or _DATE.fullmatch(cell.strip()) is not None
@@ -158,7 +163,7 @@ class _Said:
         return None if since is None else (begin[0] + since[0], since[1])
 
     def _read(self, cell: str) -> tuple[int, bool] | None:
-        moment = _iso(cell) or _from_parts(cell, self._order)
+        moment = date_in(cell, self._order)
         if moment is None:
             return None
         has_offset = moment.tzinfo is not None

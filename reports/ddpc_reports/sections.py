@@ -685,7 +685,7 @@ class _Part:
     def _diagnostics(self) -> list[Block]:
         detailed = [condition for condition in self.seen if condition in self.budget.detailed]
         treated = self.results.provenance.get("logged data")
-        said = f"What was done to the logged data before anyone learned from them: {treated}."
+        said = f"What was done to the logged data before controllers learned from them: {treated}."
         return [
             *_tables(*diagnostics_tables(detailed, self.prefix)),
             *([("notes", [said])] if treated else []),

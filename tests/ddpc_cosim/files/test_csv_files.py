@@ -41,8 +41,20 @@ def faults_of(path: Path, columns: list[Column] = COLUMNS, time_column: str = "t
         "time [ms];level [cm];flow [l/s];x\n0;150;-2;a\n500;200;0;\n",
         "time [min],level[mm],flow [m3/h]\n0,1500,-7.2\n0.008333333333333333,2000,0",
         "time,level,flow\n2026-03-01T12:00:00Z,1.5,-2e-3\n2026-03-01 12:00:00.5+00:00,2,0\n",
+        "time;level (cm);flow\n01.03.2026 12:00:00;150,0;-2e-3\n01.03.2026 12:00:00,5;200;0\n",
     ],
-    ids=["comma", "bom", "german", "semicolon", "tab", "quoted", "units", "touching-units", "dates"],
+    ids=[
+        "comma",
+        "bom",
+        "german",
+        "semicolon",
+        "tab",
+        "quoted",
+        "units",
+        "touching-units",
+        "dates",
+        "german-dates",
+    ],
 )
 def test_the_same_numbers_in_many_spellings(tmp_path: Path, text: str) -> None:
     time, values = read_table(written(tmp_path, text), COLUMNS, "time")
@@ -131,7 +143,7 @@ def test_of_dates_those_that_are_none_or_of_another_kind_are_told(tmp_path: Path
     lines = ["time,level", "2024-03-01T00:00:00,1", "2024-13-01T00:00:05,2", "2024-03-01T00:00:10Z,3"]
     where = 'log.csv, line {}, column "time": '
     assert faults_of(written(tmp_path, "\n".join(lines)), [Column(LEVEL, "level")]) == [
-        where.format(3) + '"2024-13-01T00:00:05" is not an ISO 8601 date, as the first one is',
+        where.format(3) + '"2024-13-01T00:00:05" is not a date, as the first one is',
         where.format(4) + '"2024-03-01T00:00:10Z" has a time zone, and the first date has none',
     ]
 

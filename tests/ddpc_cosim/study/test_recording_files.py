@@ -151,6 +151,23 @@ def test_several_files_are_a_mosaic_and_their_content_is_part_of_the_case(tmp_pa
     assert identifier("log.csv", "moved.csv") == both
 
 
+def test_what_was_done_to_a_log_is_in_the_provenance_and_decides_by_what_comes_of_it(tmp_path: Path) -> None:
+    path = log(tmp_path)
+    as_it_is = cases(tmp_path, HEAD + ONE + FROM_FILES + 'file = "log.csv"')["deepc"]
+    told = 'file = "log.csv"\ngaps = "split"\nmissing = 2\nduplicates = "first"'
+    assert cases(tmp_path, HEAD + ONE + FROM_FILES + told)["deepc"].id == as_it_is.id
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[30:30] = [lines[29]]
+    del lines[90:92]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    case = cases(tmp_path, HEAD + ONE + FROM_FILES + told)["deepc"]
+    assert case.id != as_it_is.id
+    assert case.recording is not None
+    assert case.recording.treatments == ("1 duplicate row dropped", "6 cells interpolated")
+    assert run_case(case).provenance["logged data"] == "1 duplicate row dropped, 6 cells interpolated"
+    assert "logged data" not in run_case(as_it_is).provenance
+
+
 def faults(folder: Path, recording: str, controller: str = ONE, head: str = HEAD) -> list[str]:
     with pytest.raises(ConfigError) as raised:
         cases(folder, head + controller + recording)
@@ -168,11 +185,11 @@ def test_all_that_is_wrong_with_files_in_one_message(tmp_path: Path) -> None:
     assert [fault.removeprefix("study.toml:11: recording.file: ") for fault in messages] == [
         'bad.csv: no column "M"; there are: angle, angular_velocity, t, torque',
         'bad.csv, column "angle [bar]": unit "bar" does not fit angle; allowed: rad, deg, °, rev',
-        'bad.csv, line 9, column "t [s]": 0.7 s is -0.2 s after the row before; times must increase; sort its '
-        'rows, or write duplicates = "first", by which they are put in the order of time',
-        'bad.csv, line 8, column "t [s]": 0.9 s is 0.4 s after the row before; needed: the sampling time 0.1 s, '
-        'within 1 %; write gaps = "split" to make pieces of it, or missing = 3 to interpolate',
-        'bad.csv, line 10, column "angular_velocity": "nan" is not a finite number; write missing = 1 to '
+        'bad.csv, line 9, column "t [s]": 0.7 s is -0.2 s after the row before; times must increase; '
+        'sort its rows, or write duplicates = "first", by which they are put in the order of time',
+        'bad.csv, line 8, column "t [s]": 0.9 s is 0.4 s after the row before; needed: the sampling time '
+        '0.1 s, within 1 %; write gaps = "split" to make pieces of it, or missing = 3 to interpolate',
+        'bad.csv, line 10, column "angle [bar]": "nan" is not a finite number; write missing = 1 to '
         'interpolate up to 1 in a row, or gaps = "split" to leave out such samples',
         "absent.csv: no such file",
     ]
@@ -200,6 +217,8 @@ def test_what_does_not_go_with_files(tmp_path: Path) -> None:
         "recording.excitation: none for the input torque",
         "recording.columns: names columns of the key file, which is missing",
     ]
+    (message,) = faults(tmp_path, EXPERIMENT.replace("samples", 'gaps = "split", samples'))
+    assert message.endswith("recording.gaps: says how the files of the key file are read, which is missing")
     log(tmp_path)
     at_end = HEAD.replace("duration = 2.0", 'duration = 2.0, start = "recording-end"')
     (message,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"', head=at_end)
