@@ -253,8 +253,13 @@ class Building:
                 scenarios[name] = ScenarioSection(label=label, start_time=begin, prices={**other})
         return scenarios
 
-    def key_figures(self, controlled: Sequence[str], paid: Sequence[str]) -> KeyFiguresSection:
-        """Return BOPTEST's key figures, of those sources whose limits and prices are known."""
+    def key_figures(self, controlled: Sequence[str], paid: Sequence[str]) -> KeyFiguresSection | None:
+        """Return BOPTEST's key figures, of those sources whose limits and prices are known.
+
+        They are per floor area: where the plant does not say that, there are none.
+        """
+        if self.resources.area is None:
+            return None
         bands = {name: self.band(name) for name in self.zones if name not in controlled}
         for source, output in self._sources(CO2):
             if columns := self._columns_of_zone(source, "UpperCO2"):

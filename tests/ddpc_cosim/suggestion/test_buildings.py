@@ -142,6 +142,14 @@ def test_the_step_is_that_of_the_author_unless_the_plant_is_far_faster(
     assert bool(said) == (expected != 3600.0)
 
 
+def test_without_a_floor_area_no_key_figures_are_proposed() -> None:
+    sources = {"AirZoneTemperature[1]": ("TZon",)}
+    for area, are_proposed in ((None, False), (48.0, True)):
+        outputs = (Variable("TZon", "K"),)
+        house = Building(Resources(area=area, key_figures=sources), describe((), outputs))
+        assert (house.key_figures(["TZon"], []) is not None) is are_proposed
+
+
 def test_an_fmu_without_a_comfort_band_is_not_taken_for_a_building() -> None:
     assert (
         Building.of(Resources(key_figures={"ElectricPower": ("P",)}), describe((), [Variable("P", "W")]))
