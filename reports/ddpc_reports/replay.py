@@ -15,13 +15,13 @@ from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import levels
 from ddpc_reports.figures.signal import Signal
 from ddpc_reports.figures.still import still
-from ddpc_reports.figures.time_charts import WIDE, time_chart
+from ddpc_reports.figures.time_charts import NARROW, time_chart
 from ddpc_reports.numbers import given_time
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
 
 _LOG, _CONTROLLER = "c0", "c1"
-_SIZE = WIDE, 200
+_SIZE = NARROW, 200
 
 
 def replay_page(replay: Replay) -> str:
