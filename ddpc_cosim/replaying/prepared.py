@@ -11,8 +11,10 @@ import numpy as np
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.files.csv_files import TIME_TOLERANCE, Column, CSVFile, read_table, split_unit
+from ddpc_cosim.files.csv_files import Column, CSVFile, split_unit
 from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.log_format import WHOLE, LogFormat
+from ddpc_cosim.files.logs import read_log
 from ddpc_cosim.loop.logged import LoggedSignals
 from ddpc_cosim.loop.safe_calls import past_length_of
 from ddpc_cosim.signals.signals import Band, Reference, Steps
@@ -68,16 +70,20 @@ def prepare(
     _check_columns(columns, wanted)
     logged_as = {**(recording.columns if recording else {}), **columns}
     found = _located(file, wanted, logged_as)
-    time_column = recording.time_column if recording else "time"
-    tolerance = recording.time_tolerance if recording else TIME_TOLERANCE
+    format = LogFormat(**{**recording.format, "part": WHOLE}) if recording else LogFormat()
     read = [Column(wanted[name].variable, header) for name, header in found.items()]
-    time, values = read_table(file, read, time_column, case.sampling_time, tolerance)
+    held = [wanted[name].variable.name for name in names(case.inputs)]
+    rows = read_log(log, sampling_time=case.sampling_time, format=format, columns=read, held=held)
+    time, values = rows.time, rows.values
+    if rows.seams:
+        when = shown(float(time[rows.seams[0]]))
+        raise DataError(f"{log}: rows are missing before t = {when}; replay each piece by itself")
     first = max(past_length_of(controller_of(case)), 1)
     if len(values) < first + _FEWEST:
         needed = f"needed: {first} as the past of {case.controller}, and {_FEWEST} to answer"
         raise DataError(f"{log}: {len(values)} rows are too few; {needed}")
     notes = list[str]()
-    if start is None and (not time_column or _has_dates(file, time_column)):
+    if start is None and (rows.begin is not None or not format.time_columns):
         start = case.start_time
         notes.append(f"the log's first row counts as t = {shown(start)} of the study")
     begin = float(time[0]) if start is None else start
@@ -139,15 +145,6 @@ def _located(file: CSVFile, wanted: Mapping[str, _Wanted], logged_as: Mapping[st
     if faults:
         raise DataError(faults)
     return found
-
-
-def _has_dates(file: CSVFile, time_column: str) -> bool:
-    """Whether the times of a log are dates, and not numbers."""
-    try:
-        float(file.rows[0][file.find(time_column)[0]].replace(",", "."))
-    except ValueError:
-        return True
-    return False
 
 
 def _replaying(case: Case, table: Mapping[str, FloatArray], begin: float, first: int) -> Case:

@@ -350,7 +350,8 @@ class PlantSpec:
     def _maker(self, seed: int, *, records: bool) -> Callable[[], Plant]:
         """Return what makes the plant, by a name for errors: a class, or a model of an ensemble."""
         if not self.identified:
-            return self._plugin()
+            plugin: Callable[[], Plant] = self._plugin()
+            return plugin
         identified = self.identified
 
         def identified_plant() -> Plant:
