@@ -198,9 +198,6 @@ def _recording(log: Log, columns: Sequence[ColumnFacts], sampling: SamplingFacts
         return None
     rows: NDArray[np.intp] = np.concatenate([np.arange(piece.start, piece.stop) for piece in pieces])
     ends = np.cumsum([piece.stop - piece.start for piece in pieces])[:-1]
-    u, y, d = (
-        log.values[np.ix_(rows, np.array(index[role], np.intp))]
-        for role in ("input", "output", "disturbance")
-    )
+    u, y, d = (log.values[rows][:, chosen] for chosen in index.values())
     period = sampling.sampling_time if np.isfinite(sampling.sampling_time) else 1.0
     return Recording(u, y, y, period, tuple(ends.tolist()), d)

@@ -128,7 +128,7 @@ def virtual_reference_gains(
     # C_i times (1 - q) filters; the D part only where there is one.
     structure = {"P": polymul(_DIFFERENCE, filters), "I": h * filters, "D": polymul(_DIFFERENCE, _DIFFERENCE)}
     u, y = recording.u[:, chosen], recording.y[:, output]
-    colours: FloatArray = polymul(whitening(u, recording.seams), np.cumsum(model.error)[:-1])
+    colours = np.asarray(polymul(whitening(u, recording.seams), np.cumsum(model.error)[:-1]), np.float64)
     divisor = polymul(polymul(model.denominator, model.denominator), filters)
 
     def sides(outputs: FloatArray) -> FloatArray:
