@@ -23,7 +23,7 @@ _RECORDED, _IDENTIFIED = [0.0, 0.5], [0.5, 1.0]
 """Parts of the rows that controllers learn from, and that the plant is identified from."""
 _MENDED = LogFormat(gaps="split", missing=3, duplicates="first")
 """How a log is read that is refused as it is."""
-_SEEDS = ["0:10"]
+_SEEDS = [*range(10)]
 _BY_METHOD = ("deepc",)
 """Controllers whose predictor is told that its data were recorded in closed loop."""
 
