@@ -6,20 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from ddpc_cosim.codec import read, write
 from ddpc_cosim.description import PlantDescription, describe
 from ddpc_cosim.files.durations import in_words
-from ddpc_cosim.identification.bootstrap import ensemble
-from ddpc_cosim.identification.candidates import Candidate, candidates
 from ddpc_cosim.identification.identification import Identification, LoggedPlant, read_logged_plant
 from ddpc_cosim.identification.innovation import InnovationModel
 from ddpc_cosim.identification.plant import IdentifiedPlant
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.variables import FloatArray, Variable, names, with_start
+
+if TYPE_CHECKING:
+    from ddpc_cosim.identification.candidates import Candidate
 
 _DRAWS_OF_BOOTSTRAP = 28
 """Seed of the blocks that are drawn: the same logs give the same models."""
@@ -160,6 +161,10 @@ def _ensemble(
     hashes: tuple[str, ...], settings: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> Ensemble:
     """Find the models of logs of this content, once."""
+    # With what estimates, SciPy's optimisation too: reading a study and running its cases do without.
+    from ddpc_cosim.identification.bootstrap import ensemble
+    from ddpc_cosim.identification.candidates import candidates
+
     identification = read(Identification, json.loads(settings))
     logged = _logged(hashes, settings, inputs, outputs)
     recording = logged.recording
@@ -183,7 +188,7 @@ def _ensemble(
 
 
 def _facts(
-    identification: Identification, logged: LoggedPlant, best: Candidate, held_out: Mapping[str, float]
+    identification: Identification, logged: LoggedPlant, best: "Candidate", held_out: Mapping[str, float]
 ) -> dict[str, str]:
     """Return what a report says of the models, by key."""
     recording, members = logged.recording, identification.members
