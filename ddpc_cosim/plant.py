@@ -65,6 +65,8 @@ class Plant(ABC):
     """
     is_sampled: bool = False
     """Whether it answers to its inputs as they are when a step begins, and holds its outputs over it."""
+    is_noisy: bool = False
+    """Whether noise of its own acts on it: what that scatters the outputs is held against no controller."""
 
     def plan(self, sampling_time: float, stop_time: float) -> None:  # noqa: B027 - most plants take any run
         """Announce sampling and stop time of the next runs, before ``reset``.

@@ -55,6 +55,7 @@ class IdentifiedPlant(Plant):
     ) -> None:
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         self._model, self._seed, self._start = model, seed, state
+        self.is_noisy = seed is not None
         self._facts, self._driven = dict(facts or {}), len(model.u_0)
         self._run: Literal["experiment", "loop"] = "experiment" if records else "loop"
         self._next: Literal["experiment", "loop"] = self._run

@@ -61,7 +61,7 @@ from ddpc_cosim.loop.setup import (
     excitation_table,
     whole_steps,
 )
-from ddpc_cosim.loop.trace import Outcome, Trace
+from ddpc_cosim.loop.trace import OWN_NOISE, Outcome, Trace
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.processes.fork_server import ONE_THREAD
 from ddpc_cosim.processes.rows import RowStore
@@ -387,7 +387,7 @@ def cosimulate(
         provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
         disturbances=setup.disturbances.told,
-        acting=tuple(setup.disturbances.declared),
+        acting=(*setup.disturbances.declared, *([OWN_NOISE] if plant.is_noisy else [])),
         bands=loop.bands,
         moving_limits=limits.moving,
         charges=setup.charged.charges,

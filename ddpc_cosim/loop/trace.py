@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+OWN_NOISE = "noise of the plant"
+"""Stands among what acts on a plant that has noise of its own."""
+
+
 class Outcome(StrEnum):
     """How a run ended. Only ``completed`` runs reached their last sample; the plant ``terminated`` others."""
 
@@ -129,7 +133,8 @@ class Trace:
     monitored_band : array, shape (K, len(monitored_bands), 2)
         Lower and upper edges.
     acting : tuple of str
-        Names of the declared disturbances, those that controllers know nothing of included.
+        Names of the declared disturbances, those that controllers know nothing of included; ``OWN_NOISE``
+        where the plant has noise of its own.
     state : bytes
         The plant's state at the last sample, where it was asked for and the run completed; else empty.
     """

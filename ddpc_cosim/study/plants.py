@@ -595,6 +595,7 @@ class PythonPlant(Plant):
         self._held, self._y = self._at_rest, np.empty(0)
         self.inputs = tuple(every[index] for index in self._driven)
         self.outputs = tuple(self._plant.outputs)
+        self.is_noisy = self._plant.is_noisy
         self.dependencies = {
             name: frozenset(inputs).intersection(on) for name, on in self._plant.dependencies.items()
         }

@@ -14,9 +14,10 @@ the band's width, or of its distance to the one before where that is larger. Whi
 moves, an output that follows a reference has nothing to settle to: of that nothing is concluded there.
 
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
-sample ahead (measurement noise, and what declared disturbances and inputs scatter the output: the smaller of
-that of the run and that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples
-of the window, that is ``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean
+sample ahead (measurement noise, and what declared disturbances, inputs and a plant's own noise scatter the
+output: the smaller of that of the run and that of doing nothing), ``q``, the step of quantised measurements,
+and ``n``, the samples of the window, that is
+``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean
 magnitude of Gaussian noise, 0.6 s its standard deviation) and ``4 s / sqrt(n) + q / 2`` of a mean: four
 standard errors, since a run has many windows and a study many runs. Of a mean over the whole run ``n`` is
 that of its windows together.
