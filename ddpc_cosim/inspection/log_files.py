@@ -19,7 +19,7 @@ from ddpc_cosim.inspection.columns import (
     whole_pieces,
 )
 from ddpc_cosim.inspection.logs import LogSummary, summarise
-from ddpc_cosim.suggestion.words import CERTAIN, Wording, is_reading, setpoint, vocabulary, words_of
+from ddpc_cosim.inspection.words import CERTAIN, Wording, is_reading, setpoint, vocabulary, words_of
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 

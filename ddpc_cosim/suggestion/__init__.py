@@ -19,6 +19,7 @@ from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.fmu.resources import Resources
 from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.inspection.words import listed
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.signals.signals import Reference
 from ddpc_cosim.study.file_format.sections import (
@@ -52,7 +53,6 @@ from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.systems import System
 from ddpc_cosim.suggestion.trial import Tell, tried_once, tried_out
 from ddpc_cosim.suggestion.values import AskedRange, OperatingPoint, operating_point, with_own_units
-from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Self
 
+from ddpc_cosim.inspection.words import SURROUNDINGS, Wording
 from ddpc_cosim.signals.disturbances import KnownDisturbance
 from ddpc_cosim.signals.excitations import InputExcitation
 from ddpc_cosim.signals.signals import Constant, RandomLevels
@@ -12,7 +13,6 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.operating_point import TriedPoint
 from ddpc_cosim.suggestion.quantities import as_weather_goes
 from ddpc_cosim.suggestion.response_types import ResponseType
-from ddpc_cosim.suggestion.words import SURROUNDINGS, Wording
 
 _WHAT_TO_DO = (
     "What acts from outside and is measured. Nothing here knows its course: it stays where it rests, and in "

@@ -8,8 +8,7 @@ from pathlib import Path
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.description import DefaultExperiment, PlantDescription, default_signals, switches_of
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.study.file_format.sections import PartSection, PlantSection
-from ddpc_cosim.suggestion.words import (
+from ddpc_cosim.inspection.words import (
     SURROUNDINGS,
     Wording,
     command,
@@ -19,6 +18,7 @@ from ddpc_cosim.suggestion.words import (
     setpoint,
     vocabulary,
 )
+from ddpc_cosim.study.file_format.sections import PartSection, PlantSection
 from ddpc_cosim.variables import Variable
 from fmu_plants.model import identifier
 

@@ -9,6 +9,7 @@ import numpy as np
 from ddpc_cosim.description import Declarations, applied_output, switches_of
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.inspection.words import is_called_temperature, is_meter, is_reading
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
@@ -30,7 +31,6 @@ from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.roles import Roles, usual_range, without
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
 from ddpc_cosim.suggestion.systems import OpenSystem
-from ddpc_cosim.suggestion.words import is_called_temperature, is_meter, is_reading
 from ddpc_cosim.variables import FloatArray, Variable
 
 TestedPlant = FMUPlant | OpenSystem

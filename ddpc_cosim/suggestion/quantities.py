@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ddpc_cosim.suggestion.words import unit_of
+from ddpc_cosim.inspection.words import unit_of
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.units import DisplayUnit, display_unit, parse_unit
 

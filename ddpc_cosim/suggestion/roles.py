@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ddpc_cosim.description import Declarations, PlantSignal, applied_output, default_signals, switches_of
-from ddpc_cosim.suggestion.response_types import Response, ResponseType
-from ddpc_cosim.suggestion.step_test import StepTest
-from ddpc_cosim.suggestion.words import (
+from ddpc_cosim.inspection.words import (
     CERTAIN,
     DEVICES,
     LIKELY,
@@ -25,6 +23,8 @@ from ddpc_cosim.suggestion.words import (
     setpoint,
     stops,
 )
+from ddpc_cosim.suggestion.response_types import Response, ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
 Evidence = tuple[int, tuple[str, ...]]

@@ -12,6 +12,7 @@ from ddpc_cosim.codec import write_in_short
 from ddpc_cosim.errors import CosimError, Place
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.files.texts import printable
+from ddpc_cosim.inspection.words import listed
 from ddpc_cosim.signals.signals import Steps
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.suggestion.choice import Choice, returns
@@ -19,7 +20,6 @@ from ddpc_cosim.suggestion.design import WHY_SETTINGS, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.step_test import SHARE, StepTest
-from ddpc_cosim.suggestion.words import listed
 from ddpc_cosim.variables import FloatArray, Variable
 
 _WIDTH = 110

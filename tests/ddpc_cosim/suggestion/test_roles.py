@@ -5,9 +5,7 @@ from dataclasses import replace
 import pytest
 
 from ddpc_cosim.description import DescribedVariable, PlantDescription, Values, describe
-from ddpc_cosim.suggestion.quantities import usual_levels
-from ddpc_cosim.suggestion.roles import order_of_outputs, roles_of
-from ddpc_cosim.suggestion.words import (
+from ddpc_cosim.inspection.words import (
     Wording,
     is_comparison,
     is_named_controller,
@@ -15,6 +13,8 @@ from ddpc_cosim.suggestion.words import (
     unit_of,
     words_of,
 )
+from ddpc_cosim.suggestion.quantities import usual_levels
+from ddpc_cosim.suggestion.roles import order_of_outputs, roles_of
 from ddpc_cosim.variables import Variable
 
 
