@@ -198,6 +198,6 @@ def _recording(log: Log, columns: Sequence[ColumnFacts], sampling: SamplingFacts
         return None
     rows: NDArray[np.intp] = np.concatenate([np.arange(piece.start, piece.stop) for piece in pieces])
     ends = np.cumsum([piece.stop - piece.start for piece in pieces])[:-1]
-    u, y, d = (log.values[np.ix_(rows, index[role])] for role in ("input", "output", "disturbance"))
+    u, y, d = (log.values[rows][:, index[role]] for role in ("input", "output", "disturbance"))
     period = sampling.sampling_time if np.isfinite(sampling.sampling_time) else 1.0
     return Recording(u, y, y, period, tuple(ends.tolist()), d)
