@@ -289,7 +289,7 @@ def _instruments() -> str:
             f"with these data use instrumental variables: type = {' or '.join(names)} with "
             f'settings.instruments = "{_INSTRUMENTS}"'
         )
-    return "with these data use a method with instrumental variables, or one that fits a model one step ahead"
+    return "with these data compare a method with instrumental variables, or one that fits a model one step ahead"
 
 
 def _uncertainty(pair: Pair) -> float:
