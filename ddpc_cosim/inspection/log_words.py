@@ -286,10 +286,10 @@ def _instruments() -> str:
     ]
     if names:
         return (
-            f"with these data use instrumental variables: type = {' or '.join(names)} with "
+            f"compare with instrumental variables on these data: type = {' or '.join(names)} with "
             f'settings.instruments = "{_INSTRUMENTS}"'
         )
-    return "with these data use a method with instrumental variables, or one that fits a model one step ahead"
+    return "on these data compare with instrumental variables, or with a model fitted one step ahead"
 
 
 def _uncertainty(pair: Pair) -> float:
