@@ -311,6 +311,8 @@ class _Reader:
         chosen = max(numbers_known, key=lambda i: numbers_known[i], default=first)
         if not numbers_known.get(chosen):
             filled = [i for i, cells in rows.items() if any(cells)]
+            if not filled:
+                raise DataError(f"{self._file}: has no header; needed: a header and one row per sample")
             alike = [i for i in filled if len(rows[i]) == len(rows[filled[-1]])]
             chosen = (alike if self._columns is None else filled)[0]
         delimiter = said[1] if said else delimiter_of(lines[chosen])

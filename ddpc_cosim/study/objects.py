@@ -213,8 +213,8 @@ class Problem:
     stabiliser : Controller, optional
         Keeps the plant during the experiment.
     recording : Recording or mapping of str to Any, optional
-        Logged data, in place of an experiment; or ``file``, one or several, with ``columns``,
-        ``time_column`` and ``time_tolerance``.
+        Logged data, in place of an experiment; or ``file``, one or several, with ``columns``
+        and how they are read, such as ``time_column`` and ``gaps``.
     recorded_inputs : mapping of str to Reference
         Signals of inputs that no controller drives during the experiment, in place of a scenario's.
     recorded_disturbances : mapping of str to Reference

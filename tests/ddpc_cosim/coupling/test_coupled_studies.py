@@ -247,7 +247,7 @@ class TestWhatIsWrong:
 
     def test_keys_that_exclude_each_other(self, halves: dict[str, Any], tmp_path: Path) -> None:
         messages = faults(tmp_path, study({**halves, "name": "pendulum"}))
-        assert "plant: needs exactly one of the keys name, fmu, ssp and parts" in messages
+        assert "plant: needs exactly one of the keys name, fmu, ssp, parts and identified" in messages
         messages = faults(tmp_path, study({"name": "pendulum", "outputs": ["angle"], "coupling": {}}))
         assert "plant.coupling: needs parts or ssp" in messages
 

@@ -325,6 +325,7 @@ OTHER: dict[str, Any] = {
     "warm_up": 0.5,
     "warm_up_controller": {"type": "pid", "settings": {}},
     "resumed": Resumption(b"state", 0.0),
+    "replayed": "a log and the case that its controller learns in",
 }
 """Another value of every field of a case that decides its result."""
 

@@ -14,6 +14,7 @@ from ddpc_cosim import ConfigError, Price, StudyResults, Trace
 from ddpc_cosim.codec import Kinds, declared_fields, read, write
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.files.tables import Table
+from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.study.file_format.requirements import RequirementSection, RequirementsSection
 from ddpc_cosim.study.file_format.sections import (
     ClaimSection,
@@ -179,6 +180,15 @@ CONTENT: dict[str, Any] = {
         "columns": {"angle": "Angle"},
         "time_column": "t",
         "time_tolerance": 0.25,
+        "dates": "excel",
+        "time_zone": "Europe/Berlin",
+        "encoding": "cp1252",
+        "gaps": "split",
+        "missing": 2,
+        "duplicates": "mean",
+        "resample": "linear",
+        "outliers": 5.0,
+        "part": [0.0, 0.5],
     },
     "controllers": {
         "quick": {
@@ -456,6 +466,8 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     elsewhere = {
         *(("PlantSection", key) for key in ("fmu", "ssp")),  # in place of its name
         ("PlantSection", "library_path"),  # of FMUs
+        ("PlantSection", "identified"),  # in tests of plants that are
+        *(("Identification", key) for key in declared_fields(Identification)),
         *(("ControllerSection", key) for key in ("search", "first_trials")),  # of what is tuned, not run
         ("ControllerSection", "seeds"),  # in tests of shares, as reference points
         *(("SearchSection", key) for key in declared_fields(SearchSection)),
