@@ -1,0 +1,52 @@
+"""A study that is proposed from logs alone: what it takes from them, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+
+from ddpc_cosim import ConfigError
+from ddpc_cosim.suggestion import Proposal, suggest_study
+
+LOG = Path(__file__).parents[3] / "docs" / "examples" / "tanks-monday.csv"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A log in which a row is lost and another one is there twice."""
+    lines = LOG.read_text(encoding="utf-8").splitlines()
+    lines[60:61] = []
+    lines[20:20] = [lines[20]]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_a_messy_log_is_mended_and_the_study_says_how(log: Path) -> None:
+    proposal: Proposal = suggest_study(log, trial=False)
+    identified, recording = proposal.study.plant.identified, proposal.study.recording
+    assert identified is not None
+    assert recording is not None
+    assert proposal.study.plant.inputs == ["pump A", "pump B"]
+    assert proposal.study.plant.outputs == ["level_1", "level_2"]
+    for section in (identified, recording):
+        assert (section.gaps, section.duplicates) == ("split", "first")
+    assert (identified.part, recording.part) == ([0.5, 1.0], [0.0, 0.5])
+    assert any("duplicate row dropped" in said for said in proposal.comments["plant"])
+    assert {*proposal.origins.values()} == {"the log's range"}
+
+
+def test_a_log_beside_an_fmu_is_refused(log: Path) -> None:
+    with pytest.raises(ConfigError, match=r"log\.csv: a log is a plant by itself"):
+        suggest_study([log, log.with_suffix(".fmu")])
+
+
+def test_disturbances_are_named_of_logs_only(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="disturbances are named of logs"):
+        suggest_study(tmp_path / "plant.fmu", disturbances=["sun"])
+
+
+def test_columns_that_are_not_there_are_told_together(log: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        suggest_study(log, inputs=["pump C"], outputs=["level_4"])
+    assert ["no such column" in fault for fault in caught.value.faults] == [True, True]
