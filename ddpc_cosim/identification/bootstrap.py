@@ -3,10 +3,9 @@
 One-step errors are white where the model is true: drawn with replacement, and run through the model with
 the inputs as they were recorded, they give another recording that might have been, of which a model is made
 as of the first (B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993, chapter 8). What an
-unstable plant does with inputs that were decided for other noise says nothing; there, and where refitting a
-long log would take too long, other errors come to the same past (S. Goncalves, L. Kilian, J. Econometrics
-123(1), 2004, doi:10.1016/j.jeconom.2003.10.030: the fixed-design bootstrap), and the model follows to first
-order.
+unstable plant does with inputs that were decided for other noise says nothing: there other errors come to the
+same past (S. Goncalves, L. Kilian, J. Econometrics 123(1), 2004, doi:10.1016/j.jeconom.2003.10.030: the
+fixed-design bootstrap), and the model follows to first order.
 """
 
 from collections.abc import Sequence
@@ -21,7 +20,6 @@ from ddpc_cosim.identification.predictor import Predictor, Samples, scan
 from ddpc_cosim.identification.stability import projected
 from ddpc_cosim.variables import FloatArray
 
-_MOST_REFITTED = 20_000  # rows
 _FEW_STEPS = 5  # from the model of the recording to that of one like it
 _GROWTH = 10.0  # over the longest stretch, above which errors of long ago decide everything
 _INTEGRATES = 1e-4
@@ -53,7 +51,7 @@ def ensemble(
     stretches = samples.stretches
     longest = max(rows.stop - rows.start for rows in stretches)
     radius = np.abs(np.linalg.eigvals(predictor.plant())).max()
-    follows = len(samples) <= _MOST_REFITTED and longest * np.log(max(radius, 1e-9)) < np.log(_GROWTH)
+    follows = longest * np.log(max(radius, 1e-9)) < np.log(_GROWTH)
     linearised = None if follows else fit.linearised(predictor, samples)
     stable = np.abs(np.linalg.eigvals(candidate.model.a)).max() <= 1.0 + _ROUNDING
     models = list[InnovationModel]()
