@@ -83,6 +83,9 @@ class TaggedSignal:
         Lower and upper limit, in the same unit.
     price, emission : array, shape (n,), optional
         Money, and kg, for its unit over a second; None: it costs nothing that is known.
+    holds : bool
+        Whether limits, prices and emissions are held from sample to sample, as where samples lie closer than
+        those at which they change; otherwise they too are straight lines between samples.
     """
 
     values: FloatArray
@@ -91,11 +94,12 @@ class TaggedSignal:
     limits: FloatArray | None = None
     price: FloatArray | None = None
     emission: FloatArray | None = None
+    holds: bool = False
 
     @property
     def means(self) -> FloatArray:
         """Means over the sampling intervals, shape (n - 1,)."""
-        return self._means(self.values)
+        return self._means(self.values, self.values)
 
     @property
     def emits(self) -> bool:
@@ -106,16 +110,19 @@ class TaggedSignal:
         """Return the integral over time of the signal times something, such as its price, shape (n,)."""
         if per_amount is None:
             return math.nan
-        return self.sampling_time * float(self._means(self.values * per_amount).sum())
+        each = np.broadcast_to(per_amount, self.values.shape)
+        starts, ends = self.values * each, self.values * self._at_ends(each)
+        return self.sampling_time * float(self._means(starts, ends).sum())
 
     def beyond(self, *, below: bool) -> float:
         """Return the integral of the distance to the upper limit where it is above, and to the lower one."""
         if self.limits is None:
             return math.nan
-        away = np.maximum(self.values - self.limits[:, 1], 0.0)
-        if below:
-            away += np.maximum(self.limits[:, 0] - self.values, 0.0)
-        return self.sampling_time * float(self._means(away).sum())
+        starts, ends = (
+            _distance(self.values, limits, below=below)
+            for limits in (self.limits, self._at_ends(self.limits))
+        )
+        return self.sampling_time * float(self._means(starts, ends).sum())
 
     @property
     def travel(self) -> float:
@@ -123,8 +130,19 @@ class TaggedSignal:
         values = self.values[:-1] if self.is_held else self.values
         return float(np.abs(np.diff(values)).sum())
 
-    def _means(self, values: FloatArray) -> FloatArray:
-        return values[:-1] if self.is_held else (values[:-1] + values[1:]) / 2.0
+    def _at_ends(self, values: FloatArray) -> FloatArray:
+        """Return what holds just before each sample, shape (n, ...), of something at them."""
+        return np.concatenate([values[:1], values[:-1]]) if self.holds else values
+
+    def _means(self, starts: FloatArray, ends: FloatArray) -> FloatArray:
+        """Return means over the intervals of something just after and just before the samples."""
+        return starts[:-1] if self.is_held else (starts[:-1] + ends[1:]) / 2.0
+
+
+def _distance(values: FloatArray, limits: FloatArray, *, below: bool) -> FloatArray:
+    """Return how far values are above their limits, and perhaps below."""
+    away: FloatArray = np.maximum(values - limits[:, 1], 0.0)
+    return away + np.maximum(limits[:, 0] - values, 0.0) if below else away
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,7 @@ def cosimulate(
     forecast_horizon: int | None = None,
     prices: Mapping[str, Price] | None = None,
     monitors: Mapping[str, Band | None] | None = None,
+    communication_step: float | None = None,
     warm_up: float = 0.0,
     warm_up_controller: Controller | None = None,
     resumed: Resumption | None = None,
@@ -218,6 +219,10 @@ def cosimulate(
     monitors : mapping of str to (Band or None), optional
         Outputs that are kept in the trace, as they are, whether or not a controller sees them; each with the
         band that it is wanted within, or None.
+    communication_step : float, optional
+        How far the plant is advanced at once [s], of which the sampling time is an integer multiple; default:
+        the sampling time. Inputs are held over the sampling interval all the same; what is paid, and key
+        figures, then come from what controlled, charged and monitored outputs are at each of these steps.
     warm_up : float
         How long the plant runs before the first sample [s], which is not part of the trace.
     warm_up_controller : Controller, optional
@@ -276,6 +281,7 @@ def cosimulate(
         prices=prices,
         forecast_horizon=forecast_horizon,
         monitors=monitors,
+        communication_step=communication_step,
     )
     is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
     wanted = {} if is_open_loop else setup.wanted({} if reference is None else reference)
@@ -309,7 +315,7 @@ def cosimulate(
     switched = setup.switched(controller)
     before = setup.switched(warmer) if warm_up_steps else switched
     if not continue_recording:
-        plant.plan(sampling_time, inf if keeps_state else end)
+        plant.plan(setup.communication_step, inf if keeps_state else end)
         reset_at = begin if resumed is None else resumed.reset_time
         y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, reset_at)
         if resumed is not None:
@@ -393,6 +399,8 @@ def cosimulate(
         charges=setup.charged.charges,
         monitors=setup.monitors,
         monitored_bands=setup.monitored_bands,
+        substeps=setup.substeps,
+        intersample_signals=tuple(plant.outputs[i] for i in setup.intersample) if setup.substeps > 1 else (),
     )
 
 
@@ -604,7 +612,7 @@ def _experiment(
         wish, limits, wanted = setup.no_wish(visible), setup.no_limits(visible), {}
     loop = setup.loop(STABILISER_STREAM, horizon, limits, is_band=wish.is_band)
     start_controller(exciting, loop)
-    plant.plan(sampling_time, begin + samples * sampling_time + onwards)
+    plant.plan(setup.communication_step, begin + samples * sampling_time + onwards)
     y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
     setup.start(time[: samples + later], ahead=later, in_experiment=True)
@@ -665,6 +673,8 @@ class _Rows:
         self._forecast = self.store.more.get("forecast")
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
+        self._intersample = None if keeps_seen else self.store.more.get("intersample")
+        self._shift = np.zeros(len(setup.intersample))
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
@@ -718,6 +728,10 @@ class _Rows:
             store.more["charged"][k] = np.nan
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
+        if self._intersample is not None:
+            self._intersample[k] = np.nan
+            # A disturbance of an output is held over the sampling interval.
+            self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
         store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
@@ -733,6 +747,13 @@ class _Rows:
         u = held.u if self._seen is not None else setup.commanded(controller, held.u)
         store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
+
+    def write_between(self, k: int, i: int, y_plant: FloatArray) -> None:
+        """Keep the plant's outputs at the end of communication step i < n - 1 of those after sample k."""
+        if self._intersample is not None:
+            count = len(self._shift)
+            values = y_plant[self._setup.intersample] + self._shift
+            self._intersample[k, i * count : (i + 1) * count] = values
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
         """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
@@ -792,14 +813,17 @@ def _run(
 
     ``first`` is the number of its first sample since the plant was set up.
     """
-    plant, h, last = setup.plant, setup.sampling_time, len(rows.time) - 1
+    plant, h, last = setup.plant, setup.communication_step, len(rows.time) - 1
     pending = deque(sorted(events, key=lambda event: event.time))
     require_finite(y_plant, plant)
     for k, time in enumerate(rows.time):
-        while pending and pending[0].time <= time + EARLY * h:
+        while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
         applied = rows.write(k, first, controller, y_plant)
         if k < last or hold_last:
-            y_plant = step_plant(plant, applied, h, time)
-            require_finite(y_plant, plant)
+            for i in range(setup.substeps):
+                y_plant = step_plant(plant, applied, h, time + i * h)
+                require_finite(y_plant, plant)
+                if i + 1 < setup.substeps:
+                    rows.write_between(k, i, y_plant)
     return y_plant

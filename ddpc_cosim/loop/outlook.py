@@ -1,6 +1,6 @@
 """What is wanted, allowed, paid and expected over time, and how much of it controllers see at a sample."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ def table_widths(
     monitors: Mapping[str, Band | None],
     inputs: int,
     outputs: int,
+    intersample: int,
 ) -> dict[str, int]:
     """Return how many columns the tables of a run have besides those of every run, by name."""
     bands = any(isinstance(signal, Band) for signal in wanted.values())
@@ -42,8 +43,20 @@ def table_widths(
         **dict.fromkeys(("price", "emission", "charged"), len(prices)),
         "monitored": len(monitors),
         "monitored_band": 2 * sum(band is not None for band in monitors.values()),
+        "intersample": intersample,
     }
     return {name: width for name, width in widths.items() if width}
+
+
+def intersample_signals(
+    outputs: Sequence[str],
+    prices: Mapping[str, Price],
+    monitors: Mapping[str, Band | None],
+    inputs: Collection[str],
+) -> tuple[str, ...]:
+    """Return which outputs are read between samples: those that are controlled, charged or monitored."""
+    charged = (price.signal for price in prices.values() if price.signal not in inputs)
+    return tuple(dict.fromkeys((*outputs, *charged, *monitors)))
 
 
 class Wish(NamedTuple):

@@ -16,7 +16,7 @@ from ddpc_cosim.description import applied_output
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop.disturbances import ActingDisturbances
-from ddpc_cosim.loop.outlook import Limit, Limits, Outlook, Wanted, Wish, table_widths
+from ddpc_cosim.loop.outlook import Limit, Limits, Outlook, Wanted, Wish, intersample_signals, table_widths
 from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.loop.prices import ChargedSignals
 from ddpc_cosim.plant import ParameterValue, Plant
@@ -64,6 +64,29 @@ def whole_steps(duration: float, sampling_time: float) -> int:
             f"duration = {duration:g} must be a whole multiple of sampling_time = {sampling_time:g}"
         )
     return round(steps)
+
+
+def communication_steps(sampling_time: float, communication_step: float | None) -> int:
+    """Return in how many steps the plant is advanced in a sampling interval; None: in one.
+
+    Raises
+    ------
+    ConfigError
+        They do not make up the interval.
+    """
+    if communication_step is None:
+        return 1
+    if not (_is_finite(communication_step) and communication_step > 0.0):
+        raise ConfigError(f"communication_step = {communication_step} is not possible; allowed: a number > 0")
+    steps = round(min(sampling_time / communication_step, MOST_STEPS))
+    if (
+        steps < 1
+        or steps == MOST_STEPS
+        or abs(steps * communication_step - sampling_time) > 1e-9 * sampling_time
+    ):
+        whole = f"sampling_time, {shown(sampling_time)}, must be an integer multiple of it"
+        raise ConfigError(f"communication_step = {shown(communication_step)}: {whole}")
+    return steps
 
 
 def end_time(start_time: float, steps: int, sampling_time: float) -> float:
@@ -238,7 +261,7 @@ class LoopSetup:
         Nothing is controlled: inputs without a signal rest at their start values.
     is_free : bool
         Nothing is controlled, and inputs are left to the plant.
-    disturbances, recorded_disturbances, prices, forecast_horizon, monitors
+    disturbances, recorded_disturbances, prices, forecast_horizon, monitors, communication_step
         As in :func:`ddpc_cosim.cosimulate`.
 
     Raises
@@ -267,8 +290,10 @@ class LoopSetup:
         prices: Mapping[str, Price] | None = None,
         forecast_horizon: int | None = None,
         monitors: Mapping[str, Band | None] | None = None,
+        communication_step: float | None = None,
     ) -> None:
         check_sampling_time(sampling_time)
+        self.substeps = communication_steps(sampling_time, communication_step)
         check_seed(seed)
         check_preview(preview)
         missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
@@ -316,11 +341,18 @@ class LoopSetup:
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
         seen = (*self.inputs, *self.outputs, *self.measurements, *self.disturbances.inputs)
         self.charged = ChargedSignals(prices or {}, plant, seen, self._is_left)
+        between = intersample_signals(controlled, prices or {}, self._monitors, given)
+        self.intersample = np.array([available.index(name) for name in between], dtype=np.intp)
         self._check_conditions(conditions)
         self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
         deviation = self._deviations(noise.standard_deviation if noise else {})
         rng = self._stream(NOISE_STREAM)
         self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, rng)
+
+    @property
+    def communication_step(self) -> float:
+        """How far the plant is advanced at once [s]."""
+        return self.sampling_time / self.substeps
 
     @property
     def rest(self) -> FloatArray:
@@ -336,7 +368,7 @@ class LoopSetup:
 
     def table_widths(self, wanted: Wanted) -> dict[str, int]:
         """Return how many columns the further tables of a run have."""
-        sizes = len(self.inputs), len(self.outputs)
+        sizes = len(self.inputs), len(self.outputs), (self.substeps - 1) * len(self.intersample)
         declared, prices = self.disturbances.declared, self.charged.prices
         return table_widths(declared, wanted, self._given_bounds, prices, self._monitors, *sizes)
 

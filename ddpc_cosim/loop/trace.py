@@ -132,6 +132,13 @@ class Trace:
         Those of them that are wanted within a band.
     monitored_band : array, shape (K, len(monitored_bands), 2)
         Lower and upper edges.
+    substeps : int
+        In how many communication steps the plant was advanced in a sampling interval.
+    intersample_signals : tuple of Variable
+        The q outputs that were read after each of them: those that are controlled, charged or monitored;
+        none where there is one step.
+    intersample : array, shape (K, (substeps - 1) * q)
+        Them, as they were between ``time[k]`` and the next sample, all of one step after the other.
     acting : tuple of str
         Names of the declared disturbances, those that controllers know nothing of included; ``OWN_NOISE``
         where the plant has noise of its own.
@@ -181,6 +188,9 @@ class Trace:
     monitored: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     monitored_bands: tuple[str, ...] = ()
     monitored_band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
+    substeps: int = 1
+    intersample_signals: tuple[Variable, ...] = ()
+    intersample: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     acting: tuple[str, ...] = ()
     state: bytes = b""
 
@@ -214,6 +224,11 @@ class Trace:
         commanded = np.isfinite(self.u[0]) | (len(self) == 1)
         undecided = not np.isfinite(self.u[-1][commanded]).all()
         return len(self) - undecided
+
+    @property
+    def communication_step(self) -> float:
+        """How far the plant was advanced at once [s]."""
+        return self.sampling_time / self.substeps
 
     @property
     def failures(self) -> int:
@@ -303,10 +318,19 @@ class Trace:
         """Return what is paid for; None without prices."""
         if not self.charges:
             return None
-        rows, held = slice(0, self.held), {*names(self.inputs), *names(self.changed_inputs)}
-        charged = self.charged[: self.held + 1]
+        held = {*names(self.inputs), *names(self.changed_inputs)}
+        charged = [self._between(c.signal, self.charged[:, i]) for i, c in enumerate(self.charges)]
+        steps = self.held * self.substeps
+        price, emission = (
+            np.repeat(table[: self.held], self.substeps, axis=0) for table in (self.price, self.emission)
+        )
         return Charged.of(
-            self.charges, charged, held, self.price[rows], self.emission[rows], self.sampling_time
+            self.charges,
+            np.column_stack(charged)[: steps + 1],
+            held,
+            price,
+            emission,
+            self.communication_step,
         )
 
     def _key_figures(self, tags: KeyFigureTags | None) -> KeyFigures | None:
@@ -320,7 +344,7 @@ class Trace:
             tags,
             paid[0] if paid else "",
             any(signal.emits for signal in tagged.values() if signal is not None),
-            self.sampling_time,
+            self.communication_step,
             {name: signal for name, signal in tagged.items() if signal is not None},
             [self._moved(variable) for variable in self.inputs],
             self.completed,
@@ -337,14 +361,33 @@ class Trace:
         is_held = name in names((*self.inputs, *self.changed_inputs)) and name not in names(self.outputs)
         columns = [i for i, charge in enumerate(self.charges) if charge.signal == name]
         rates = np.array([self.charges[i].rate for i in columns]) / factor
+
+        def repeated(table: FloatArray) -> FloatArray:
+            return np.repeat(table, self.substeps, axis=0)[:steps]
+
+        steps = (len(self) - 1) * self.substeps + 1
         return TaggedSignal(
-            values * factor,
-            self.sampling_time,
+            self._between(name, values)[:steps] * factor,
+            self.communication_step,
             is_held,
-            None if limits is None else limits * factor,
-            self.price[:, columns] @ rates if columns else None,
-            self.emission[:, columns] @ rates if columns else None,
+            None if limits is None else repeated(limits) * factor,
+            repeated(self.price[:, columns] @ rates) if columns else None,
+            repeated(self.emission[:, columns] @ rates) if columns else None,
+            holds=self.substeps > 1,
         )
+
+    def _between(self, name: str, values: FloatArray) -> FloatArray:
+        """Return a signal at the communication steps of all rows, shape (K * substeps,).
+
+        ``values``, shape (K,), is it at the rows. An input, or what is not known after a fault, stays.
+        """
+        table = np.repeat(values[:, np.newaxis], self.substeps, axis=1)
+        if name in names(self.intersample_signals):
+            column = names(self.intersample_signals).index(name)
+            table[:, 1:] = self.intersample[:, column :: len(self.intersample_signals)]
+            known = np.where(np.isfinite(table), np.arange(self.substeps), 0)
+            table = np.take_along_axis(table, np.maximum.accumulate(known, axis=1), axis=1)
+        return table.ravel()
 
     def _known(self, name: str) -> tuple[Variable, FloatArray] | None:
         """Return a signal as the plant has it, with its variable; None where it was not kept."""
@@ -377,7 +420,8 @@ class Trace:
         """Return an input over the whole run; where it is left to the plant, what that says it applies."""
         told = self._known(applied_output(variable.name))
         if told is not None and told[0].unit == variable.unit and self._is_left(variable.name).all():
-            return TaggedSignal(told[1], self.sampling_time)
+            steps = (len(self) - 1) * self.substeps + 1
+            return TaggedSignal(self._between(told[0].name, told[1])[:steps], self.communication_step)
         known = self._known(variable.name)
         assert known is not None
         return TaggedSignal(known[1], self.sampling_time, is_held=True)
@@ -424,7 +468,8 @@ class Trace:
         ``max``, known disturbances as they were measured with ``disturbance``, and what was expected of
         them at a few moments with ``forecast``; of prices there are ``price``,
         ``emission`` and, of the signal that is paid for, ``charged``; outputs that were kept besides are
-        prefixed with ``monitored``, and the edges of their bands with ``monitored lower`` and ``upper``.
+        prefixed with ``monitored``, and the edges of their bands with ``monitored lower`` and ``upper``. What
+        outputs were between a row and the next is prefixed with ``after 300 s``, and how long after it is.
         """
         return self._columns(lambda variable, values: (variable.header, values))
 
@@ -472,7 +517,18 @@ class Trace:
             header, values = shown(variable, values)
             table[f"{title} {header}"] = values
         table["solve_time [s]"] = self.solve_time
-        return table | info
+        table |= info
+        for i, prefix in enumerate(self.intersample_prefixes):
+            for j, variable in enumerate(self.intersample_signals):
+                column = self.intersample[:, i * len(self.intersample_signals) + j]
+                header, values = shown(variable, column)
+                table[f"{prefix} {header}"] = values
+        return table
+
+    @property
+    def intersample_prefixes(self) -> list[str]:
+        """What headers of columns begin with of what was between rows, a prefix per communication step."""
+        return [f"after {i * self.communication_step:.12g} s" for i in range(1, self.substeps)]
 
     def _further(self) -> Iterator[tuple[str, Variable, FloatArray]]:
         """Yield bands, limits that change, disturbances and prices: prefix of a column, variable, values."""

@@ -192,6 +192,7 @@ def _replaying(case: Case, table: Mapping[str, FloatArray], begin: float, first:
             for name, price in case.prices.items()
         },
         monitors={},
+        communication_step=None,
         keeps_state=False,
         replayed=Replayed(LoggedSignals(recorded, outputs, values), first, on_plant),
     )

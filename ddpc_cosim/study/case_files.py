@@ -11,7 +11,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path, PurePath
 from typing import Any
@@ -315,6 +315,8 @@ def _further(trace: Trace) -> dict[str, Any]:
         "charges": [charge._asdict() for charge in trace.charges],
         "monitors": [asdict(variable) for variable in trace.monitors],
         "monitored_bands": list(trace.monitored_bands),
+        "substeps": trace.substeps if trace.substeps > 1 else None,
+        "intersample_signals": [asdict(variable) for variable in trace.intersample_signals],
     }
     return {key: value for key, value in further.items() if value}
 
@@ -629,7 +631,8 @@ def read_trace(folder: Path) -> Trace:
     edges = ("monitored lower", "monitored upper")
     within = [variable for variable in monitors if variable.name in monitored_bands]
     limits = ("min", "max")
-    return Trace(
+    between = [_variable(variable) for variable in run.get("intersample_signals", ())]
+    trace = Trace(
         state=_state(folder, run),
         disturbances=tuple(disturbances),
         acting=tuple(run.get("acting", ())),
@@ -674,7 +677,13 @@ def read_trace(folder: Path) -> Trace:
         provenance=run["provenance"],
         info={name: columns[f"info.{name}"] for name in run["info"]},
         warnings=tuple(run["warnings"]),
+        substeps=run.get("substeps", 1),
+        intersample_signals=tuple(between),
     )
+    if not between:
+        return trace
+    steps = [table(between, (f"{prefix} ",)) for prefix in trace.intersample_prefixes]
+    return replace(trace, intersample=np.hstack(steps))
 
 
 def _read_signals(content: bytes, storage: str) -> tuple[dict[str, FloatArray], tuple[str, ...]]:

@@ -27,7 +27,8 @@ from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop import safe_calls
 from ddpc_cosim.loop.logged import LoggedPlant, LoggedSignals, TakingOver
 from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, Resumption, cosimulate
-from ddpc_cosim.loop.outlook import Limit, Limits, table_widths
+from ddpc_cosim.loop.outlook import Limit, Limits, intersample_signals, table_widths
+from ddpc_cosim.loop.setup import communication_steps
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
@@ -67,6 +68,7 @@ _WHERE_SAID = (
     "recording_start",
     "prices",
     "monitors",
+    "communication_step",
     "read",
     "forecast_horizon",
     "warm_up",
@@ -164,6 +166,8 @@ class Case:
         What signals cost.
     monitors : dict of str to (Band or None)
         Outputs that are kept besides, with the band that they are wanted within.
+    communication_step : float or None
+        How far the plant is advanced at once [s]; None: the sampling time.
     read : tuple of Variable
         Outputs that are neither controlled nor measured, and known disturbances, paid for or monitored.
     forecast_horizon : int or None
@@ -231,6 +235,7 @@ class Case:
     recording_start: float | None = None
     prices: dict[str, Price] = field(default_factory=dict)
     monitors: dict[str, Band | None] = field(default_factory=dict)
+    communication_step: float | None = None
     read: tuple[Variable, ...] = ()
     forecast_horizon: int | None = None
     warm_up: float = 0.0
@@ -668,6 +673,7 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         forecast_horizon=case.forecast_horizon,
         prices=case.prices,
         monitors=case.monitors,
+        communication_step=case.communication_step,
         warm_up=case.warm_up,
         warm_up_controller=warm_up_controller,
         resumed=case.resumed,
@@ -715,7 +721,8 @@ def row_store(case: Case, path: Path | None = None, *, follow: bool = False) -> 
 
 
 def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool = False) -> RowStore:
-    sizes = len(case.inputs), len(case.outputs)
+    between = (communication_steps(case.sampling_time, case.communication_step) - 1) * len(_intersample(case))
+    sizes = len(case.inputs), len(case.outputs), between
     return RowStore(
         samples,
         *(len(case.outputs), len(case.measurements), len(case.inputs)),
@@ -724,6 +731,12 @@ def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool =
         more=table_widths(case.disturbances, case.reference, case.bounds, case.prices, case.monitors, *sizes),
         follow=follow,
     )
+
+
+def _intersample(case: Case) -> tuple[str, ...]:
+    """Return the outputs that are read between samples, where anything is."""
+    inputs = names((*case.inputs, *case.undriven))
+    return intersample_signals(names(case.outputs), case.prices, case.monitors, inputs)
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
@@ -760,6 +773,8 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
         charges=tuple(price.charge(name, case.variable(price.signal)) for name, price in case.prices.items()),
         monitors=tuple(map(case.variable, case.monitors)),
         monitored_bands=tuple(name for name, band in case.monitors.items() if band is not None),
+        substeps=(substeps := communication_steps(case.sampling_time, case.communication_step)),
+        intersample_signals=tuple(map(case.variable, _intersample(case))) if substeps > 1 else (),
     )
 
 
@@ -811,6 +826,7 @@ def cases_of_problem(
                 outputs=resolved.outputs,
                 measurements=resolved.measurements,
                 sampling_time=study.loop.sampling_time,
+                communication_step=study.loop.communication_step,
                 duration=study.loop.duration,
                 start_time=study.loop.of(scenario).start_time,
                 continue_recording=study.loop.start == "recording-end",

@@ -232,6 +232,9 @@ class Problem:
         How many future references a controller may see; default: as many as it asks for.
     start_time : float, str or date
         Time of the first sample [s], or ``"day 23"`` or a date: counted from the start of its year.
+    communication_step : float or str, optional
+        How far the plant is advanced at once [s], so that what is paid and key figures come from more than
+        the samples; default: the sampling time.
     warm_up : float or str
         How long the plant runs before the first sample, which is not judged [s].
     warm_up_controller : Controller, optional
@@ -312,6 +315,7 @@ class Problem:
     scenarios: Mapping[str, Scenario] = field(default_factory=dict)
     preview: int | None = None
     start_time: float | str | date = 0.0
+    communication_step: float | str | None = None
     warm_up: float | str = 0.0
     warm_up_controller: Controller | None = None
     continue_recording: bool = False

@@ -37,6 +37,8 @@ from ddpc_cosim.suggestion.writing import Proposal
 from ddpc_cosim.variables import Variable
 
 _DAY, _HOUR = 86_400.0, 3600.0
+_OFTEN = 300.0  # s
+"""Thermostats and the control of heat pumps commonly switch no more often than that."""
 _WEEK = 7 * _DAY
 _FORTNIGHT = 2 * _WEEK
 _LONGEST_TEST = 0.9 * _FORTNIGHT  # s: of a step test; beyond, the season tells more than an input
@@ -348,7 +350,13 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
             measurements=measured,
             nominal={**study.plant.nominal, **_of_powers(building, prices)},
         ),
-        loop=replace(loop, duration=duration, start_time=start, warm_up=warm_up),
+        loop=replace(
+            loop,
+            duration=duration,
+            start_time=start,
+            warm_up=warm_up,
+            communication_step=_communication_step(h) if _PLANT in controllers else None,
+        ),
         reference={**(study.reference or {}), **bands},
         disturbances=known,
         prices=prices,
@@ -431,6 +439,12 @@ def _controllers(
             label = f"{chosen[key].label}, on the edge of the band"
             chosen[key] = replace(chosen[key], type="band-edge", label=label, settings=settings)
     return chosen
+
+
+def _communication_step(h: float) -> float | None:
+    """Return how often a plant with a control of its own is read for its figures; None: at the samples."""
+    steps = math.ceil(h / _OFTEN)
+    return None if steps == 1 else h / steps
 
 
 def _price_weight(

@@ -147,7 +147,11 @@ def _remarks(proposal: Proposal) -> dict[Place, str]:
     """Return what stands beside values, by their places: units, descriptions, and where limits come from."""
     remarks: dict[Place, str] = {("loop", "sampling_time"): "s", ("loop", "duration"): "s"}
     loop = proposal.study.loop
-    remarks |= {("loop", key): f"s, {in_words(getattr(loop, key))}" for key in ("start_time", "warm_up")}
+    remarks |= {
+        ("loop", key): f"s, {in_words(getattr(loop, key))}"
+        for key in ("start_time", "warm_up", "communication_step")
+        if getattr(loop, key) is not None
+    }
     for key in ("inputs", "outputs", "measurements"):
         signals: Sequence[Variable] = getattr(proposal, key)
         remarks |= {("plant", key, i): f"{_unit(v)} {v.description}" for i, v in enumerate(signals)}

@@ -365,8 +365,9 @@ TEMPERATURES = ("AirZoneTemperature", "OperativeZoneTemperature")
 def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> dict[str, float]:
     """Return BOPTEST's key figures of a completed case, by the formulas of its paper (section "KPIs").
 
-    Signals that are inputs are held, so that their integral is a sum; the others are lines. Of a source
-    that is absent there is no figure.
+    Signals that are inputs are held, so that their integral is a sum; the others are lines. Where they were
+    read between samples, limits and prices are held from sample to sample. Of a source that is absent there
+    is no figure.
     """
     run, columns = read_case(folder)
     h, driven = run["sampling_time"], {variable["name"] for variable in run["inputs"]}
@@ -381,13 +382,31 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
     def in_watts(name: str) -> float:
         return 1e3 if any(f"{name} [kW]" in key for key in columns) else 1.0
 
+    after = sorted({float(found[1]) for key in columns if (found := re.match(r"after (\S+) s ", key))})
+    step = h / (len(after) + 1)
+
+    def course(name: str) -> Any:
+        """Return a signal from each sample to the next, a row each."""
+        values = column("monitored ", "", name=name)
+        if name in driven:
+            return np.repeat(values[:-1, np.newaxis], len(after) + 2, axis=1)
+        between = [column(f"after {seconds:.12g} s ", name=name)[:-1] for seconds in after]
+        return np.column_stack([values[:-1], *between, values[1:]])
+
     def integral(name: str, weight: Any) -> float:
+        if after:
+            each = np.trapezoid(course(name), dx=step, axis=1)
+            return float((each * np.broadcast_to(weight, time.shape)[:-1]).sum())
         values = column("monitored ", "", name=name) * weight
         return float(values[:-1].sum() * h) if name in driven else float(np.trapezoid(values, time))
 
     def outside(name: str, *, below: bool) -> float:
         y = column("monitored ", "", name=name)
         lower, upper = (column(f"monitored {side} ", f"{side} ", name=name) for side in ("lower", "upper"))
+        if after:
+            y, lower, upper = course(name), lower[:-1, np.newaxis], upper[:-1, np.newaxis]
+            away = np.clip(y - upper, 0, None) + (np.clip(lower - y, 0, None) if below else 0.0)
+            return float(np.trapezoid(away, dx=step, axis=1).sum()) / 3600
         under = np.trapezoid(np.clip(lower - y, 0, None), time) if below else 0.0
         return float(under + np.trapezoid(np.clip(y - upper, 0, None), time)) / 3600
 
@@ -398,9 +417,9 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
     def peak(source: str) -> float:
         power = 0.0
         for name in sources[source]:
-            values = in_watts(name) * column("monitored ", "", name=name)
-            power = power + (values[:-1] if name in driven else (values[:-1] + values[1:]) / 2)
-        minutes = np.repeat(power, round(h / 60))
+            values = in_watts(name) * course(name)
+            power = power + ((values[:, :-1] + values[:, 1:]) / 2).ravel()
+        minutes = np.repeat(power, round(step / 60))
         return max(fmean(minutes[i : i + 15]) for i in range(0, len(minutes) - 14, 15)) / area / 1000
 
     used = {name: source for source, names in sources.items() if "[" not in source for name in names}

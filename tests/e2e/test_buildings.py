@@ -68,6 +68,29 @@ def test_key_figures_are_those_of_the_papers_formulas(study: dict[str, StudyResu
     for case in driven:  # what the own control applied is in no column of an input
         expected = key_figures_of(case.folder, AREA, SOURCES)
         assert key_figures_in(case.metrics) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        assert case.metrics[MONEY] == pytest.approx(AREA * expected["cost_tot [EUR/m2]"], rel=1e-9)
+
+
+def test_reading_the_house_twice_as_often_changes_no_figure_by_a_percent(
+    study: dict[str, StudyResults], tmp_path: Path
+) -> None:
+    """That of the own control, which switches every 5 minutes, included."""
+    text = 'extends = "buildings"\nproblems.forecasts = false\n'
+    for day in DAYS:
+        text += f'problems.{day}.loop.communication_step = "2.5 min"\n'
+    (tmp_path / "house.toml").write_text(text, encoding="utf-8")
+    only = [f"*_{name}_highly-dynamic_seed0" for name in ("plant", "koopman-mpc")]
+    results = run_file(tmp_path / "house.toml", jobs=2, only=only)
+    assert len(results.cases) == 2 * len(DAYS)
+    for case in results.cases:
+        (known,) = (
+            other
+            for other in study[case.problem].cases
+            if (other.controller, other.scenario, other.seed) == (case.controller, case.scenario, case.seed)
+        )
+        for key, value in key_figures_in(case.metrics).items():
+            if not key.startswith("time_rat"):
+                assert value == pytest.approx(known.metrics[key], rel=0.01)
 
 
 def test_a_problem_of_one_controller_does_not_keep_the_others_from_being_ranked(

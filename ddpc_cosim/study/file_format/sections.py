@@ -31,7 +31,7 @@ from ddpc_cosim.files.logs import LogFormat
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.identification.identification import Identification, identification_table
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.loop.setup import MOST_STEPS, end_time, limits_error, whole_steps
+from ddpc_cosim.loop.setup import MOST_STEPS, communication_steps, end_time, limits_error, whole_steps
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.settings import (
@@ -337,6 +337,12 @@ class LoopSection(Section):
 
     sampling_time: float = setting(doc="time between samples", unit="s", above=0)
     duration: float = setting(doc="simulated time of the closed loop", unit="s", above=0)
+    communication_step: float | None = setting(
+        None,
+        doc="how far the plant is advanced at once, for what is paid and key figures; none: sampling_time",
+        unit="s",
+        above=0,
+    )
     start_time: Moment = setting(
         0.0, doc='time of the first sample; also a date or "day 23", counted from 1 January', unit="s"
     )
@@ -381,6 +387,7 @@ class LoopSection(Section):
             yield "warm_up_controller", "needs warm_up, the time for which it controls"
 
     def _check(self) -> None:
+        communication_steps(self.sampling_time, self.communication_step)
         end_time(self.start_time, whole_steps(self.duration, self.sampling_time), self.sampling_time)
 
     @property
