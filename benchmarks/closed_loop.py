@@ -1,31 +1,39 @@
 """What instruments are worth where the data were recorded in closed loop: settled errors with noise.
 
-Three plants are recorded around a controller that holds them, the measured output with noise in the
-recording and in the loop. DeePC with the ridge, with the projection, and with the instruments for closed loop
-is tuned by the same random trials, the regulariser's weight among them, on three seeds and by the figure that
-it is judged by: the median of the settled error, of twenty other seeds. Every seed has its own recording.
+Three plants are recorded around a controller that holds them at a constant reference, the measured output
+with noise in the recording and in the loop. To its inputs as little is added as an operator would allow, so
+that most of what the recorded inputs do is the controller's answer to noise. That makes windows of several
+samples wrong; where a stronger excitation is allowed it is hardly seen. DeePC with and without the
+instruments for closed loop is tuned by the same random trials, regulariser and its weight among them, on two
+seeds and by the figure that it is judged by: the median of the settled error, of other seeds. That is the
+size of the mean error at the end of a step, so that the noise, which no controller can remove, averages out
+of it. Every seed has its own recording. Measured so far, the bound holds on the pendulum alone: against the
+ridge nothing is gained on the cart-pendulum, and what is gained on the drive is within chance.
 
-    python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 24
+    python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 6 --seeds 8
 """
 
 import argparse
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
-from ddpc_controllers import IPID, PID, DeePC
+from ddpc_controllers import PID, DeePC
+from ddpc_controllers.deepc import Regulariser
 from ddpc_cosim import Constant, Controller, Problem, Steps, Study, UniformRandom
 from ddpc_cosim.study.verdicts.statistics import compare
 
 BOUND = 0.5
 """What instruments may leave of the settled error."""
-METHODS = ("DeePC, ridge", "DeePC, projection", "IV-DeePC")
-TUNED_ON, JUDGED_ON = range(100, 103), range(20)
+METHODS = ("DeePC", "IV-DeePC")
+DRAWN = ("horizon", "initial_length", "input_weight", "artificial_setpoint", "regulariser", "lambda_g")
+REGULARISERS: tuple[Regulariser, ...] = ("ridge", "projection")
+TUNED_ON = range(100, 102)
 
 PROBLEMS = {
     "cart-pendulum": Problem(
@@ -34,10 +42,11 @@ PROBLEMS = {
         outputs=["angle"],
         sampling_time=0.02,
         duration=6.0,
-        reference={"angle": Steps([0.0, 0.5, 3.0], [0.0, 3.0, -2.0], unit="deg")},
+        reference={"angle": Steps([0.0, 0.5, 2.5, 4.5], [0.0, 3.0, -2.0, 0.0], unit="deg")},
         bounds={"force": (-10.0, 10.0)},
-        excitation=UniformRandom(-1.0, 1.0, samples=2000),
-        stabiliser=IPID(order=2, alpha=4.5, kp=36.0, kd=12.0, window=3),
+        excitation=UniformRandom(-0.3, 0.3, samples=10000),
+        recording_start=6.0,
+        stabiliser=PID(tuning="manual", proportional=20.0, integral=30.0, derivative=2.5, filter_time=0.02),
         noise={"angle": 0.005},
     ),
     "two-mass-drive": Problem(
@@ -45,11 +54,12 @@ PROBLEMS = {
         inputs=["motor_torque"],
         outputs=["load_speed"],
         sampling_time=0.02,
-        duration=4.0,
-        reference={"load_speed": Steps([0.0, 0.2, 2.0], [0.0, 10.0, 5.0])},
+        duration=6.2,
+        reference={"load_speed": Steps([0.0, 0.2, 2.2, 4.2], [0.0, 10.0, 5.0, 0.0])},
         bounds={"motor_torque": (-5.0, 5.0)},
-        excitation=UniformRandom(-0.5, 0.5, samples=2000),
-        stabiliser=PID(tuning="manual", proportional=0.15, integral=0.5),
+        excitation=UniformRandom(-0.05, 0.05, samples=8000),
+        recording_start=6.2,
+        stabiliser=PID(tuning="manual", proportional=0.08, integral=0.2),
         recorded_inputs={"load_torque": Constant(0.0)},
         noise={"load_speed": 0.5},
     ),
@@ -59,9 +69,10 @@ PROBLEMS = {
         outputs=["angle"],
         sampling_time=0.1,
         duration=20.0,
-        reference={"angle": Steps([0.0, 1.0, 10.0], [0.0, 20.0, -10.0], unit="deg")},
+        reference={"angle": Steps([0.0, 1.0, 7.0, 13.0], [0.0, 20.0, -10.0, 0.0], unit="deg")},
         bounds={"torque": (-3.5, 3.5)},
-        excitation=UniformRandom(-1.0, 1.0, samples=2000),
+        excitation=UniformRandom(-0.1, 0.1, samples=8000),
+        recording_start=20.0,
         stabiliser=PID(tuning="manual", proportional=8.0, derivative=0.4, integral=8.0),
         noise={"angle": 0.02},
     ),
@@ -69,7 +80,7 @@ PROBLEMS = {
 
 
 def trials(count: int) -> dict[str, list[Controller]]:
-    """Return the settings that both are tried with: the same windows and weights."""
+    """Return the settings that both are tried with: the same windows, weights and regularisers."""
     rng = np.random.default_rng(1)
     drawn: dict[str, list[Controller]] = {method: [] for method in METHODS}
     for _ in range(count):
@@ -81,9 +92,10 @@ def trials(count: int) -> dict[str, list[Controller]]:
             use_current_output=True,
             lambda_g=float(10 ** rng.uniform(-3.0, 5.0)),
         )
-        drawn["DeePC, ridge"].append(replace(shared, regulariser="ridge"))
-        drawn["DeePC, projection"].append(shared)
-        drawn["IV-DeePC"].append(replace(shared, instruments="closed-loop"))
+        for regulariser in REGULARISERS:
+            tried = replace(shared, regulariser=regulariser)
+            drawn["DeePC"].append(tried)
+            drawn["IV-DeePC"].append(replace(tried, instruments="closed-loop"))
     return drawn
 
 
@@ -101,7 +113,7 @@ def settled_errors(
     return errors
 
 
-def judged(name: str, count: int, jobs: int) -> bool:
+def judged(name: str, count: int, seeds: int, jobs: int) -> bool:
     """Print what instruments leave of the settled error; return whether that is within its bound."""
     problem, tried = PROBLEMS[name], dict[str, Controller]()
     for method, controllers in trials(count).items():
@@ -114,35 +126,36 @@ def judged(name: str, count: int, jobs: int) -> bool:
         for method in METHODS
     }
     errors = settled_errors(
-        problem, {method: tried[label] for method, label in chosen.items()}, JUDGED_ON, jobs
+        problem, {method: tried[label] for method, label in chosen.items()}, range(seeds), jobs
     )
-    instrumented = errors["IV-DeePC"]
-    print(f"{name}: settled error {median(instrumented):.4g} with instruments: {tried[chosen['IV-DeePC']]}")
-    within = True
-    for method in METHODS[:-1]:
-        plain = errors[method]
-        ratio = median(instrumented) / median(plain)
-        gain = compare(
-            *({("", seed): error for seed, error in enumerate(runs)} for runs in (plain, instrumented))
-        )
-        within &= ratio <= BOUND and gain.low > 0.0
+
+    def by_seed(values: Sequence[float]) -> dict[tuple[Hashable, int], float]:
+        return {("", seed): value for seed, value in enumerate(values)}
+
+    def told(label: str) -> str:
+        return ", ".join(f"{setting} = {getattr(tried[label], setting)}" for setting in DRAWN)
+
+    plain, instrumented = (errors[method] for method in METHODS)
+    gain, ratio = compare(by_seed(plain), by_seed(instrumented)), median(instrumented) / median(plain)
+    print(f"{name}: with instruments {ratio:.3f} of the settled error; 95 % interval of what they take away")
+    print(f"  {gain.low:.4g} to {gain.high:.4g}, its median {gain.median:.4g}")
+    for method in METHODS:
+        failed = sum(map(math.isinf, errors[method]))
         print(
-            f"  {ratio:.3f} of {method} ({median(plain):.4g}); gain {gain.median:.4g}, 95 % interval "
-            f"{gain.low:.4g} to {gain.high:.4g}; without a figure {sum(map(math.isinf, instrumented))} and "
-            f"{sum(map(math.isinf, plain))} of {len(JUDGED_ON)}: {tried[chosen[method]]}",
-            flush=True,
+            f"  {method:8s} {median(errors[method]):8.4g}, {failed} of {seeds} failed: {told(chosen[method])}"
         )
-    return within
+    return ratio <= BOUND and gain.low > 0.0
 
 
 def main() -> bool:
     """Print the table; return whether all bounds are met."""
     parser = argparse.ArgumentParser()
     parser.add_argument("problems", nargs="*", default=[*PROBLEMS])
-    parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--trials", type=int, default=6)
+    parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
-    kept = [judged(name, given.trials, given.jobs) for name in given.problems]
+    kept = [judged(name, given.trials, given.seeds, given.jobs) for name in given.problems]
     return all(kept)
 
 

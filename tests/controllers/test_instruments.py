@@ -12,6 +12,7 @@ from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
 from ddpc_controllers.data.hankel import ONE, WindowLayout
 from ddpc_controllers.data.instruments import predict_all_at_once, predict_one_by_one
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
+from ddpc_cosim.settings import declared_settings
 
 from .loops import LinearPlant, before, close_loop, experiment, make_loop
 
@@ -257,3 +258,9 @@ def test_a_feedback_without_excitation_says_nothing_of_the_inputs(method: type[D
 def test_data_that_follow_the_plant_have_no_instruments() -> None:
     with pytest.raises(ConfigError, match=r"instruments = 'closed-loop' .* online_data = 'frozen'"):
         DeePC(instruments="closed-loop", online_data="sliding-window")
+
+
+@pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC])
+def test_tuning_does_not_choose_instruments(method: type[DeePC | SPC]) -> None:
+    """How the data were recorded decides, and is known."""
+    assert declared_settings(method)["instruments"].search is None

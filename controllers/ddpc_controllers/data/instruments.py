@@ -10,8 +10,11 @@ loop U_f is no such row: the controller that was running has made the inputs fro
 R. Dinkla, T. Oomen, S. P. Mulders, J.-W. van Wingerden, *Closed-loop data-enabled predictive control and its
 equivalence with closed-loop subspace predictive control*, Automatica 183, 2026,
 doi:10.1016/j.automatica.2025.112556 (arXiv:2402.14374), predict one sample with ``Z = (U_p, Y_p, u_k)``, that
-was all there before the noise of the predicted sample, and apply this predictor sample after sample, to
-measured outputs and to those that it has predicted.
+was all there before the noise of the predicted sample: it keeps what data say, (11), and is not correlated
+with that noise, (12) and (20), so that the predictor (14), (22) is consistent as past and data grow, (16). It
+is applied sample after sample, to measured outputs and to those that it has predicted, (23) to (27), which is
+closed-loop subspace predictive control, (28) to (34). The numbers are those of the authors' manuscript
+of January 2024.
 """
 
 from collections.abc import Mapping, Sequence
