@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.csv_files import PARQUET, Column, delimiter_of, find_column, load_pyarrow, split_unit
-from ddpc_cosim.files.log_dates import Dates, Instants, excel_dates, is_date, read_dates
+from ddpc_cosim.files.log_dates import (
+    NO_TIME,
+    Dates,
+    Instants,
+    dates_at,
+    excel_dates,
+    is_date,
+    read_dates,
+)
 from ddpc_cosim.files.log_format import Faults, LogFormat
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.units import is_unit
@@ -127,13 +135,16 @@ class _Numbers:
         self._parts.append(self._converted(cells, said, plain="_" not in joined))
         self._rows += len(cells)
 
-    def take_plain(self, values: FloatArray, marks: Iterable[str]) -> None:
-        """Take numbers that follow those before, and the decimal marks that they are written with."""
+    def take_plain(self, values: FloatArray, marks: Iterable[str] = ()) -> None:
+        """Take numbers that follow those before, NaN for none, and the decimal marks they are written with."""
         for mark in marks:
             self.marks.setdefault(mark, self._rows)
+        for i in np.flatnonzero(np.isinf(values)).tolist():
+            self.words[self._rows + i] = str(values[i])
+            values[i] = np.nan
+        self._filled += int(np.count_nonzero(~np.isnan(values)))
         self._parts.append(values)
         self._rows += len(values)
-        self._filled += len(values)
 
     def _converted(self, cells: Sequence[str], said: Sequence[str], *, plain: bool) -> FloatArray:
         values = None
@@ -259,6 +270,8 @@ class _Reader:
         self._path, self._format, self._columns, self._faults = path, format, columns, faults
         self._lenient, self._file = lenient, str(path)
         self._lines: list[int] = []
+        self._instants: list[Instants] = []
+        self._with_zone = False
         self._wrong: list[tuple[str, str]] = []
 
     def text(self, encoding: str) -> LogTable:
@@ -291,7 +304,7 @@ class _Reader:
             for batch in file.iter_batches(_ROWS, use_threads=False):
                 begun = len(self._lines)
                 self._lines += range(begun + 1, begun + 1 + batch.num_rows)
-                self._take([_cells_of(pyarrow, column) for column in batch.columns])
+                self._take_columns(pyarrow, batch.columns)
         except pyarrow.ArrowException as error:
             raise ValueError(f"not a Parquet file: {error}") from error
         return self._table(head)
@@ -343,7 +356,7 @@ class _Reader:
             self._wanted = [self._located(head, column) for column in self._columns]
         indices = {wanted.place for wanted in self._wanted if wanted.place is not None}
         self._numbers = {i: _Numbers(with_comma=head.delimiter != ",") for i in sorted(indices)}
-        self._times: list[list[str]] = [[] for _ in self._of_time]
+        self._times: list[list[Sequence[str] | FloatArray]] = [[] for _ in self._of_time]
 
     def _time_indices(self, head: _Head) -> list[int]:
         """Return the columns of the time; of a log that is read leniently those that are likely to be it."""
@@ -394,24 +407,26 @@ class _Reader:
         times, width = len(self._of_time), len(head.header)
         if self._of_time != [*range(times)] or len(self._numbers) < width - times or width == times:
             return False
-        parts = [line.split(head.delimiter, times) for line in lines]
-        if any(len(part) <= times for part in parts):
+        # Times that are numbers are read with the others, which spares each line of them its own cut.
+        apart = 0 if times == 1 and self._is_number(lines[0].partition(head.delimiter)[0]) else times
+        parts = [line.split(head.delimiter, apart) for line in lines] if apart else []
+        if any(len(part) <= apart for part in parts):
             return False
-        text = "\n".join([part[-1].rstrip("\r\n") for part in parts])
+        text = "\n".join([part[-1].rstrip("\r\n") for part in parts]) if parts else "".join(lines)
         marks = [mark for mark in ",." if mark != head.delimiter and mark in text]
         if len(marks) > 1 or not text.strip():
             return False
         try:
             numbers = text.replace(",", ".") if "," in marks else text
-            values = np.loadtxt(numbers.split("\n"), delimiter=head.delimiter, comments=None, ndmin=2)
+            values = np.loadtxt(numbers.splitlines(), delimiter=head.delimiter, comments=None, ndmin=2)
         except ValueError:
             return False
-        if values.shape != (len(lines), width - times) or not np.isfinite(values).all():
+        if values.shape != (len(lines), width - apart) or not np.isfinite(values).all():
             return False
         for index, column in self._numbers.items():
-            column.take_plain(values[:, index - times].copy(), marks)
-        for n, cells in enumerate(self._times):
-            cells += [part[n] for part in parts]
+            column.take_plain(values[:, index - apart].copy(), marks)
+        for n, pieces in enumerate(self._times):
+            pieces.append([part[n] for part in parts] if apart else values[:, n].copy())
         self._lines += range(before + 1, before + len(lines) + 1)
         return True
 
@@ -441,8 +456,25 @@ class _Reader:
     def _take(self, columns: Sequence[Sequence[str]]) -> None:
         for index, numbers in self._numbers.items():
             numbers.take(columns[index])
-        for cells, index in zip(self._times, self._of_time, strict=True):
-            cells += columns[index]
+        for pieces, index in zip(self._times, self._of_time, strict=True):
+            pieces.append(columns[index])
+
+    def _take_columns(self, pyarrow: Any, columns: Sequence[Any]) -> None:
+        """Take columns of a Parquet file, numbers and dates as what they are."""
+        for index, numbers in self._numbers.items():
+            values = _numbers_of(pyarrow, columns[index])
+            if values is None:
+                numbers.take(_cells_of(columns[index]))
+            else:
+                numbers.take_plain(values)
+        of_time = [columns[index] for index in self._of_time]
+        if len(of_time) == 1 and pyarrow.types.is_timestamp(of_time[0].type):
+            self._with_zone = of_time[0].type.tz is not None
+            self._instants.append(_instants_of(pyarrow, of_time[0]))
+            return
+        for pieces, column in zip(self._times, of_time, strict=True):
+            values = _numbers_of(pyarrow, column)
+            pieces.append(_cells_of(column) if values is None else values)
 
     def _table(self, head: _Head) -> LogTable:
         lines = np.array(self._lines, dtype=np.int64)
@@ -520,22 +552,31 @@ class _Reader:
         seconds = np.full(rows, np.nan)
         if not self._of_time or not rows:
             return seconds, None, {}, "", False
-        cells: Sequence[str] = self._times[0]
+        written = self._format.dates
+        if self._instants:
+            instants = np.concatenate(self._instants)
+            return seconds, *dates_at(instants, self._format.time_zone, with_zone=self._with_zone)
+        pieces = self._times[0]
         if len(self._times) > 1:
-            cells = [" ".join(parts).strip() for parts in zip(*self._times, strict=True)]
-        written, first = self._format.dates, next(filter(str.strip, cells), "")
-        is_number = np.isfinite(number(first.replace(",", ".")))
-        if not is_number and (is_date(first) or written in ("dd/mm/yyyy", "mm/dd/yyyy")):
+            columns = [chain(*map(_as_cells, column)) for column in self._times]
+            pieces = [[" ".join(parts).strip() for parts in zip(*columns, strict=True)]]
+        first = next(filter(str.strip, chain.from_iterable(map(_as_cells, pieces))), "")
+        if not self._is_number(first) and (is_date(first) or written in ("dd/mm/yyyy", "mm/dd/yyyy")):
+            cells = [*chain.from_iterable(map(_as_cells, pieces))]
             dates = read_dates(cells, written, self._format.time_zone)
             if self._lenient and dates.faults and written == "auto":
                 dates = self._guessed(head, cells, dates)
             return seconds, *dates
         numbers = _Numbers(with_comma=head.delimiter != ",")
-        numbers.take(cells)
+        for piece in pieces:
+            if isinstance(piece, np.ndarray):
+                numbers.take_plain(piece)
+            else:
+                numbers.take(piece)
         seconds = numbers.values
         wrong = {
-            row: f'"{cells[row].strip()[:40]}" is neither a number nor a date that is known'
-            if cells[row].strip()
+            row: f'"{numbers.texts[row]}" is neither a number nor a date that is known'
+            if row in numbers.texts
             else "the cell is empty"
             for row in np.flatnonzero(~np.isfinite(seconds)).tolist()
         }
@@ -548,6 +589,9 @@ class _Reader:
             self._faults.add("time unit", self._file, [(where, fault) for fault in error.faults])
             return np.full(rows, np.nan), None, {}, "", False
         return convert(seconds), None, wrong, "", False
+
+    def _is_number(self, cell: str) -> bool:
+        return bool(np.isfinite(number(cell.replace(",", "."))))
 
     def _guessed(self, head: _Head, cells: Sequence[str], dates: Dates) -> Dates:
         """Return dates read with the day or the month first, whichever fits; what is wrong is reported."""
@@ -584,6 +628,26 @@ def _are_units(cells: Sequence[str]) -> bool:
     return any(map(is_unit, words)) and all(is_unit(cell) or len(cell) < _LONGEST_UNIT for cell in words)
 
 
-def _cells_of(pyarrow: Any, column: Any) -> Sequence[str]:
+def _as_cells(piece: Sequence[str] | FloatArray) -> Sequence[str]:
+    return [*map(str, piece.tolist())] if isinstance(piece, np.ndarray) else piece
+
+
+def _cells_of(column: Any) -> Sequence[str]:
     """Return the cells of a Parquet column as a CSV file would have them."""
     return ["" if cell is None else str(cell) for cell in column.to_pylist()]
+
+
+def _numbers_of(pyarrow: Any, column: Any) -> FloatArray | None:
+    """Return the numbers of a Parquet column, NaN where there is none; None if it holds something else."""
+    kinds, kind = pyarrow.types, column.type
+    are_numbers = kinds.is_floating, kinds.is_integer, kinds.is_boolean, kinds.is_decimal, kinds.is_null
+    if not any(is_kind(kind) for is_kind in are_numbers):
+        return None
+    return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False))
+
+
+def _instants_of(pyarrow: Any, column: Any) -> Instants:
+    """Return the times of a Parquet column of dates; NO_TIME where there is none."""
+    whole = column.cast(pyarrow.timestamp("us", column.type.tz), safe=False).cast(pyarrow.int64())
+    values: Instants = np.array(whole.fill_null(NO_TIME).to_numpy(zero_copy_only=False))
+    return values

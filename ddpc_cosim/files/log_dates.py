@@ -74,9 +74,12 @@ def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
     said = _Said(order)
     moments = [said.moment(cell) for cell in cells]
     wrong = [i for i, moment in enumerate(moments) if moment is None]
+    empty = {i: _EMPTY for i in wrong if not cells[i].strip()}
+    wrong = [i for i in wrong if i not in empty]
     faults, remedy = {i: f'"{cells[i].strip()[:40]}" is not a date' for i in wrong}, ""
     if wrong:
         faults, remedy = _ambiguous([cells[i] for i in wrong], wrong, order) or (faults, _KNOWN)
+    faults |= empty
     instants = np.array([NO_TIME if moment is None else moment[0] for moment in moments], dtype=np.int64)
     has_offset = np.array([moment is not None and moment[1] for moment in moments], dtype=bool)
     local = ~has_offset & (instants > NO_TIME)
@@ -88,13 +91,29 @@ def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
             for i in np.flatnonzero(local if usual else has_offset).tolist()
         }
         faults, remedy = faults | odd, 'time_zone = "Europe/Berlin", or where it was, says that of the others'
+    return _placed(instants, local, time_zone, faults, remedy)
+
+
+def dates_at(instants: Instants, time_zone: str, *, with_zone: bool) -> Dates:
+    """Return the times that instants say, NO_TIME where there is none: universal ones, or local times."""
+    faults = {int(i): _EMPTY for i in np.flatnonzero(instants == NO_TIME)}
+    local: NDArray[np.bool_] = (instants > NO_TIME) & (not with_zone)
+    return _placed(instants, local, time_zone, faults, "")
+
+
+def _placed(
+    instants: Instants, local: NDArray[np.bool_], time_zone: str, faults: dict[int, str], remedy: str
+) -> Dates:
+    """Make local times universal ones, if their zone is known."""
     if time_zone and local.any():
+        said = instants.copy()
         for i in _to_universal(instants, local, time_zone):
-            faults[i] = f'"{cells[i].strip()[:40]}" does not exist in {time_zone}, where an hour was left out'
+            faults[i] = f'"{date_of(int(said[i]))}" does not exist in {time_zone}, where an hour was left out'
             remedy = "leave time_zone out if the logger does not know daylight saving"
     return Dates(instants, faults, remedy, bool(local.any()) and not time_zone)
 
 
+_EMPTY = "the cell is empty"
 _KNOWN = 'needed: ISO 8601 or dd.mm.yyyy, or what dates = "dd/mm/yyyy", "mm/dd/yyyy" or "excel" says'
 
 
