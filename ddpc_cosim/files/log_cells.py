@@ -136,7 +136,7 @@ class _Numbers:
         self._rows += len(cells)
 
     def take_plain(self, values: FloatArray, marks: Iterable[str] = ()) -> None:
-        """Take numbers that follow those before, NaN for none, and the decimal marks they are written with."""
+        """Take numbers that follow those before, NaN for none, and the decimal marks of their text."""
         for mark in marks:
             self.marks.setdefault(mark, self._rows)
         for i in np.flatnonzero(np.isinf(values)).tolist():

@@ -196,8 +196,11 @@ def _recording(log: Log, columns: Sequence[ColumnFacts], sampling: SamplingFacts
     ]
     if not pieces:
         return None
-    rows: NDArray[np.intp] = np.concatenate([np.arange(piece.start, piece.stop) for piece in pieces])
+    rows: NDArray[np.intp] | slice = np.concatenate([np.arange(p.start, p.stop) for p in pieces])
+    if len(pieces) == 1:
+        rows = pieces[0]  # a view: a long log is not copied
     ends = np.cumsum([piece.stop - piece.start for piece in pieces])[:-1]
-    u, y, d = (log.values[rows][:, chosen] for chosen in index.values())
+    whole = log.values[rows]
+    u, y, d = (whole[:, chosen] for chosen in index.values())
     period = sampling.sampling_time if np.isfinite(sampling.sampling_time) else 1.0
     return Recording(u, y, y, period, tuple(ends.tolist()), d)

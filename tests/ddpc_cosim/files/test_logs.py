@@ -1,6 +1,8 @@
 """Logs as loggers and spreadsheets write them: read as told, or refused in few lines that name the mend."""
 
+import re
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -281,6 +283,50 @@ def test_a_parquet_file_with_missing_values_and_dates(tmp_path: Path) -> None:
     assert log.time.tolist() == [0.0, 0.5, 1.0, 1.5]
     assert column(log.values) == [1.0, 2.0, 3.0, 4.0]
     assert (log.names, log.units, log.texts) == (("x",), ("V",), ("n",))
+
+
+ZONED = pyarrow.timestamp("ns", "Europe/Berlin")
+
+
+@pytest.mark.parametrize(
+    ("times", "keys"),
+    [
+        (pyarrow.array([0, 1, 2, 3], pyarrow.int32()), {}),
+        (pyarrow.array([0.0, 1.0, 2.0, 3.0], pyarrow.float32()), {}),
+        (pyarrow.array([10**18 + i * 10**9 for i in range(4)], ZONED), {}),
+        (pyarrow.array([i * 10**3 for i in range(4)], pyarrow.timestamp("ms")), {"time_zone": "Asia/Tokyo"}),
+        (pyarrow.array(["2026-03-02 08:00:00", "2026-03-02 08:00:01", None, "2026-03-02 08:00:03"]), {}),
+        (pyarrow.array([0, 10**6, None, 3 * 10**6], pyarrow.timestamp("us")), {}),
+    ],
+    ids=["int", "float", "zoned", "local", "text", "null"],
+)
+def test_a_parquet_file_says_what_its_cells_say_as_text(
+    times: Any, keys: dict[str, Any], tmp_path: Path
+) -> None:
+    columns = {
+        "whole": pyarrow.array([1, 2, None, 4], pyarrow.int64()),
+        "on": pyarrow.array([True, False, False, True]),
+        "price": pyarrow.array([Decimal("1.25"), None, Decimal("2.50"), Decimal("3.75")]),
+        "word": pyarrow.array(["1.5", "Bad", "2.5", "3.5"]),
+        "limit": pyarrow.array([1.0, 2.0, np.inf, 3.0]),
+    }
+    table = pyarrow.table({"time": times, **columns})
+    pyarrow.parquet.write_table(table, tmp_path / "log.parquet")
+    cells = [["" if cell is None else str(cell) for cell in column.to_pylist()] for column in table.columns]
+    rows = [table.column_names, *zip(*cells, strict=True)]
+    written(tmp_path, "\n".join(",".join(row) for row in rows))
+    format = read(LogFormat, {"gaps": "split", **keys})
+    typed, text = (
+        read_log(tmp_path / f"log{end}", format=format, lenient=True) for end in (".parquet", ".csv")
+    )
+    assert typed.values.tolist() == text.values.tolist()
+    assert (typed.time.tolist(), typed.begin) == (text.time.tolist(), text.begin)
+    with pytest.raises(DataError) as of_text:
+        read_log(tmp_path / "log.csv", format=LogFormat())
+    with pytest.raises(DataError) as of_types:
+        read_log(tmp_path / "log.parquet", format=LogFormat())
+    as_text = [re.sub(r"line (\d+)", lambda at: f"line {int(at[1]) - 1}", f) for f in of_text.value.faults]
+    assert [*of_types.value.faults] == [fault.replace("log.csv", "log.parquet") for fault in as_text]
 
 
 @settings(max_examples=80, deadline=None)
