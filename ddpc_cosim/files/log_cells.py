@@ -3,12 +3,12 @@
 import codecs
 import csv
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,15 @@ from fmu_plants.units import is_unit
 
 _LARGEST = 4_000_000_000
 _ROWS = 20_000  # that are converted at once
+_BLOCK = 1 << 20
 _HEAD = 60  # lines among which the header is
 _TIME = Variable("time", unit="s")
 _TIME_HINT = " (time_column says which column the time is)"
 _SEPARATOR = re.compile(r"\s*\"?sep=(.)\"?\s*")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[.,' \u00a0\u202f]\d{3})+(?:[.,]\d+)?|[+-]?\d{1,3}(?:,\d{3})+\.\d+")
 _LIKELY_TIME = re.compile(
-    r"^(?:time|date|datum|zeit|timestamp|t\b)|time\s*stamp|zeitstempel|uhrzeit", re.IGNORECASE
+    r"^(?:time|date|datum|zeit|t\b)|(?:^|[\s_])(?:time|date|datum|zeit)\b|time\s*stamp|zeitstempel|uhrzeit",
+    re.IGNORECASE,
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
@@ -200,13 +202,7 @@ def read_cells(
         It cannot be read at all.
     """
     try:
-        if not path.is_file():
-            raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
-        if (size := path.stat().st_size) > _LARGEST:
-            raise DataError(
-                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-                "columns and rows that are needed"
-            )
+        _require_readable(path)
         if path.suffix == PARQUET:
             return _Reader(path, format, columns, faults, lenient=lenient).parquet()
         encoding = _marked(path) or format.encoding
@@ -220,6 +216,76 @@ def read_cells(
             return _Reader(path, format, columns, faults, lenient=lenient).text("cp1252")
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
+
+
+def headers_of(path: Path, format: LogFormat, names: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the headers of the columns of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    format : LogFormat
+        How it is read.
+    names : collection of str
+        Headers that may be in it, by which they are told from what stands above them.
+
+    Raises
+    ------
+    DataError
+        It cannot be read.
+    """
+    columns = [Column(None, name) for name in names] or None
+    reader = _Reader(path, format, columns, Faults(), lenient=True)
+    try:
+        _require_readable(path)
+        if path.suffix == PARQUET:
+            return tuple(load_pyarrow().parquet.read_schema(path).names)
+        return reader.head(_marked(path) or format.encoding).header
+    except UnicodeDecodeError as error:
+        where, what = _not_text(path, format.encoding)
+        raise DataError(f"{path}{where}: {what}") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+
+
+def likely_times(headers: Sequence[str]) -> list[int]:
+    """Return which columns are likely to be the time: none, one, or those of date and time."""
+    likely = [i for i, title in enumerate(headers) if _LIKELY_TIME.search(title) and _may_be_time(title)]
+    if likely and not _IS_DATE.search(headers[likely[0]]):
+        return likely[:1]
+    return likely[:2]
+
+
+def _may_be_time(header: str) -> bool:
+    with suppress(ConfigError):
+        converter(_TIME, split_unit(header)[1])
+        return True
+    return False
+
+
+def encoding_of(*paths: Path) -> Literal["utf-8", "cp1252"]:
+    """Return how files are likely to be coded that do not begin with a mark that says it."""
+    return "utf-8" if all(_marked(path) or _is_utf_8(path) for path in paths) else "cp1252"
+
+
+def _is_utf_8(path: Path) -> bool:
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    with path.open("rb") as file, suppress(UnicodeDecodeError):
+        while block := file.read(_BLOCK):
+            decoder.decode(block)
+        return True
+    return False
+
+
+def _require_readable(path: Path) -> None:
+    if not path.is_file():
+        raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    if (size := path.stat().st_size) > _LARGEST:
+        raise DataError(
+            f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+            "columns and rows that are needed"
+        )
 
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -276,8 +342,7 @@ class _Reader:
 
     def text(self, encoding: str) -> LogTable:
         """Return the numbers of a CSV file."""
-        with self._path.open(encoding=encoding, newline="") as file:
-            head = self._head(list(islice(file, _HEAD)))
+        head = self.head(encoding)
         self._begin(head)
         with self._path.open(encoding=encoding, newline="") as file:
             lines = iter(file)
@@ -292,6 +357,11 @@ class _Reader:
         hint = "a decimal comma needs columns separated by semicolons" if head.delimiter == "," else ""
         self._faults.add("rows", self._file, self._wrong, hint)
         return self._table(head)
+
+    def head(self, encoding: str) -> _Head:
+        """Return what stands before the rows of a CSV file."""
+        with self._path.open(encoding=encoding, newline="") as file:
+            return self._head(list(islice(file, _HEAD)))
 
     def parquet(self) -> LogTable:
         """Return the numbers of a Parquet file."""
@@ -366,17 +436,15 @@ class _Reader:
                 indices.append(find_column(self._file, head.header, name))
             except DataError as error:
                 absent += error.faults
-        likely = [i for i, title in enumerate(head.header) if _LIKELY_TIME.search(title)]
-        if likely and not _IS_DATE.search(head.header[likely[0]]):
-            likely = likely[:1]
-        titles = [f'"{split_unit(head.header[i])[0]}"' for i in likely[:2]]
+        likely = likely_times(head.header)
+        titles = [f'"{split_unit(head.header[i])[0]}"' for i in likely]
         remedy = f"write time_column = {titles[0]}" if len(titles) == 1 else ""
         if len(titles) == 2:
             remedy = f"write time_column = [{', '.join(titles)}]"
         if absent:
             fault = f'{self._file}: no column "{names[0]}"' if remedy else absent[0] + _TIME_HINT
             self._faults.add("time column", "", [("", fault)], remedy)
-        return likely[:2] if self._lenient and absent else indices
+        return likely if self._lenient and absent else indices
 
     def _located(self, head: _Head, column: Column) -> _Wanted:
         variable, header, unit, difference = column

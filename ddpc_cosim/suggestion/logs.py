@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Self
 
 from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import PARQUET
+from ddpc_cosim.files.log_cells import encoding_of
 from ddpc_cosim.files.log_format import LogFormat
 from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.inspection.log_files import inspect_log, time_column_of
@@ -114,6 +116,7 @@ class LoggedSystem:
             disturbances=roles["disturbance"],
             sampling_time=sampling_time,
             time_column=time_column_of(files[0]),
+            encoding=encoding_of(*(file for file in files if file.suffix != PARQUET)),
             resample="no" if sampling_time is None else "mean",
         )
         signals = roles["input"], roles["output"]
