@@ -20,8 +20,11 @@ from ddpc_cosim.files.log_dates import (
     Dates,
     Instants,
     dates_at,
+    epochs,
     excel_dates,
+    is_clock,
     is_date,
+    read_clocks,
     read_dates,
 )
 from ddpc_cosim.files.log_format import Faults, LogFormat
@@ -37,12 +40,22 @@ _TIME_HINT = " (time_column says which column the time is)"
 _SEPARATOR = re.compile(r"\s*\"?sep=(.)\"?\s*")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[.,' \u00a0\u202f]\d{3})+(?:[.,]\d+)?|[+-]?\d{1,3}(?:,\d{3})+\.\d+")
 _LIKELY_TIME = re.compile(
-    r"^(?:time|date|datum|zeit|t\b)|(?:^|[\s_])(?:time|date|datum|zeit)\b|time\s*stamp|zeitstempel|uhrzeit",
+    r"^(?:time|date|datum|zeit|x_value|t\b)|(?:^|[\s_])(?:time|date|datum|zeit)\b|time\s*stamp|zeitstempel|uhrzeit",
     re.IGNORECASE,
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
+_GROUPED = "thousands are separated there: export numbers without that"
 _TRUTHS = {"true": 1.0, "false": 0.0}
+_SWITCHED = {"on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0, "ein": 1.0, "aus": 0.0, "ja": 1.0, "nein": 0.0}
+_LONG = {
+    "varname": ("varvalue",),
+    "entity_id": ("state",),
+    "_field": ("_value",),
+    **dict.fromkeys(("tag", "tagname", "variable", "point", "signal", "name"), ("value", "wert")),
+}
+"""How tables with a row for each value of each signal call the column of names, and that of values."""
+_END_OF_HEADER = "***End_of_Header***"
 
 
 @dataclass(slots=True, eq=False)
@@ -167,6 +180,14 @@ class _Numbers:
                 kind = self.odd if any(letter.isdigit() for letter in text) else self.words
                 kind[self._rows + i] = text[:40]
         return values
+
+    def read_switches(self) -> None:
+        """Take ``ON`` and ``OFF`` for 1 and 0, where nothing else is in the column."""
+        if not self.odd and self._filled == len(self.words):
+            values, read = self.values, {i: _SWITCHED.get(word.lower()) for i, word in self.words.items()}
+            if self.words and None not in read.values():
+                values[[*read]] = [*read.values()]
+                self._parts, self.words = [values], {}
 
     @property
     def values(self) -> FloatArray:
@@ -295,7 +316,9 @@ def _marked(path: Path) -> str:
     """Return the encoding that a file's first bytes say; empty if they say none."""
     with path.open("rb") as file:
         begin = file.read(3)
-    return next((encoding for mark, encoding in _MARKS.items() if begin.startswith(mark)), "")
+    marked = next((encoding for mark, encoding in _MARKS.items() if begin.startswith(mark)), "")
+    without_mark = {b"\0": "utf-16-le"}.get(begin[1:2]) or {b"\0": "utf-16-be"}.get(begin[:1], "")
+    return marked or without_mark  # of UTF-16, one of the two bytes of a letter is 0
 
 
 def _not_text(path: Path, encoding: str) -> tuple[str, str]:
@@ -339,6 +362,7 @@ class _Reader:
         self._instants: list[Instants] = []
         self._with_zone = False
         self._wrong: list[tuple[str, str]] = []
+        self._has_more = False
 
     def text(self, encoding: str) -> LogTable:
         """Return the numbers of a CSV file."""
@@ -354,7 +378,9 @@ class _Reader:
                 if not self._take_plain(piece, head, before):
                     self._take_rows(piece, head, before)
                 before += len(piece)
-        hint = "a decimal comma needs columns separated by semicolons" if head.delimiter == "," else ""
+        hint = "" if self._has_more else "delete what is not a row of the table"
+        if self._has_more and head.delimiter == ",":
+            hint = "a decimal comma needs columns separated by semicolons"
         self._faults.add("rows", self._file, self._wrong, hint)
         return self._table(head)
 
@@ -381,7 +407,9 @@ class _Reader:
 
     def _head(self, lines: list[str]) -> _Head:
         """Return the header: of the first lines the one that has most of the names that are known."""
-        first = next((i for i, line in enumerate(lines) if line.strip()), -1)
+        ends = [i for i, line in enumerate(lines, 1) if line.startswith(_END_OF_HEADER)]
+        above = ends[-1] if ends else 0
+        first = next((i for i, line in enumerate(lines) if i >= above and line.strip()), -1)
         if first < 0:
             raise DataError(f"{self._file}: is empty; needed: a header and one row per sample")
         said = _SEPARATOR.fullmatch(lines[first].strip("\r\n"))
@@ -397,21 +425,36 @@ class _Reader:
             if not filled:
                 raise DataError(f"{self._file}: has no header; needed: a header and one row per sample")
             alike = [i for i in filled if len(rows[i]) == len(rows[filled[-1]])]
-            chosen = (alike if self._columns is None else filled)[0]
+            chosen = (filled if ends or self._columns else alike)[0]
         delimiter = said[1] if said else delimiter_of(lines[chosen])
         reader = csv.reader(lines[chosen:], delimiter=delimiter, skipinitialspace=True, strict=True)
         try:
             header = tuple(cell.strip() for cell in next(reader, []))
+            if ends and header[-1:] == ("Comment",):  # of LabVIEW, whose rows leave it out
+                header = header[:-1]
             end = chosen + reader.line_num
             below = [cell.strip() for cell in next(reader, [])]
         except csv.Error as error:
             where = f"line {chosen + max(reader.line_num, 1)}"
             raise DataError(f"{self._file}, {where}: not a CSV file: {error}") from error
+        self._require_wide(header)
         units = [split_unit(name)[1] for name in header]
         if len(below) == len(header) and _are_units(below):
             end = chosen + reader.line_num
             units = [unit or cell.strip("[]() ") for unit, cell in zip(units, below, strict=True)]
         return _Head(delimiter, header, tuple(units), end)
+
+    def _require_wide(self, header: Sequence[str]) -> None:
+        """Refuse a table with a row for each value of each signal."""
+        titles = {title.lower(): title for title in header}
+        pairs = ((name, value) for name, values in _LONG.items() for value in values)
+        name, value = next((pair for pair in pairs if titles.keys() >= {*pair}), ("", ""))
+        if name and (self._columns is None or not {column.header for column in self._columns} <= {*header}):
+            raise DataError(
+                f'{self._file}: each row has one value of one signal ("{titles[name]}", "{titles[value]}"); '
+                "needed: a row per sample and a column per signal: export it so, or in pandas "
+                f'`table.pivot(index=the time, columns="{titles[name]}", values="{titles[value]}")`'
+            )
 
     def _begin(self, head: _Head) -> None:
         """Note which columns are read."""
@@ -506,6 +549,8 @@ class _Reader:
             for row in reader:
                 if len(row) == width + 1 and not row[-1]:
                     row.pop()
+                if tuple(map(str.strip, row)) == head.header:  # a logger that was started again
+                    continue
                 if len(row) == width and any(row):
                     rows.append(row)
                     self._lines.append(before + reader.line_num)
@@ -513,6 +558,7 @@ class _Reader:
                         self._take(list(zip(*rows, strict=True)))
                         rows = []
                 elif any(row):
+                    self._has_more |= len(row) > width
                     what = f"{len(row)} cells, and {width} columns in the header"
                     self._wrong.append((f"line {before + reader.line_num}", what))
         except csv.Error as error:
@@ -549,6 +595,8 @@ class _Reader:
         if not lines.size:
             what = "a header and no rows; needed: one row per sample"
             self._faults.add("no rows", self._file, [("", what)])
+        for numbers in self._numbers.values():
+            numbers.read_switches()
         texts = [i for i, numbers in self._numbers.items() if numbers.are_texts]
         if self._columns is None:
             self._wanted = [wanted for wanted in self._wanted if wanted.place not in texts]
@@ -600,8 +648,16 @@ class _Reader:
             for row, cell in numbers.odd.items()
         ]
         cells = [cell for numbers in columns.values() for cell in numbers.odd.values()]
+        if self._columns is None:
+            grouped = [
+                (f'line {lines[row]}, column "{head.header[i]}"', f'"{cell}" is not a finite number')
+                for i in texts
+                for row, cell in self._numbers[i].odd.items()
+                if _THOUSANDS.fullmatch(cell)
+            ]
+            self._faults.add("thousands", self._file, grouped, _GROUPED)
         are_grouped = any(map(_THOUSANDS.fullmatch, cells))
-        remedy = "thousands are separated there: export numbers without that" if are_grouped else ""
+        remedy = _GROUPED if are_grouped else ""
         self._faults.add("numbers", self._file, odd, remedy)
         first = {
             mark: [numbers.marks[mark] for numbers in columns.values() if mark in numbers.marks]
@@ -635,6 +691,9 @@ class _Reader:
             if self._lenient and dates.faults and written == "auto":
                 dates = self._guessed(head, cells, dates)
             return seconds, *dates
+        if is_clock(first):
+            seconds, untimed = read_clocks([*chain.from_iterable(map(_as_cells, pieces))])
+            return seconds, None, untimed, "", False
         numbers = _Numbers(with_comma=head.delimiter != ",")
         for piece in pieces:
             if isinstance(piece, np.ndarray):
@@ -650,8 +709,11 @@ class _Reader:
         }
         if written == "excel":
             return seconds, excel_dates(seconds), wrong, "", True
+        unit = head.units[self._of_time[0]]
+        if not unit and (since_1970 := epochs(seconds)) is not None:
+            return np.full(rows, np.nan), since_1970, wrong, "", False
         try:
-            convert = converter(_TIME, head.units[self._of_time[0]])
+            convert = converter(_TIME, unit)
         except ConfigError as error:
             where = f'column "{self._time_header(head)}"'
             self._faults.add("time unit", self._file, [(where, fault) for fault in error.faults])
