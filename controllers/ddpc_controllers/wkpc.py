@@ -155,7 +155,7 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             )
         online = self._learner.data if self._learner else None
         self._law = make_law(self._problem, self._data, self._limits, make_backend(self.backend), online)
-        self._recorded = lifted[-past:]
+        self._recorded = lifted
         self._begin(loop, recording)
 
     def restart(self, loop: Loop) -> None:
