@@ -200,8 +200,8 @@ class BehavioralTracking(Foresight, ScaledSignals):
         if self._learner is not None:
             self.start(loop)
             return
-        self._see(loop)
-        self._begin(self._scales.loop, matching_recording(self._scales.loop, type(self).__name__))
+        again = self._again(loop)
+        self._begin(again, matching_recording(again, type(self).__name__))
 
     def _begin(self, loop: Loop, recording: Recording) -> None:
         """Forget what was decided, and fill the past."""

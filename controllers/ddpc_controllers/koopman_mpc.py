@@ -349,9 +349,8 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         z, recording = self._lifted.recorded, without_first(recording, self._lifted.skipped)
         n_z, m, seams = z.shape[1], len(loop.inputs), recording.seams
         require_samples(count_windows(len(z), 2, seams), n_z + m + 2 * len(loop.disturbances), "KoopmanMPC")
-        self._disturbed, self._last_d = bool(loop.disturbances), np.zeros(len(loop.disturbances))
+        self._disturbed = bool(loop.disturbances)
         self._model = model = self._fit(z, recording)
-        self._disturbance = model.constant
         memory = Span(1, 'state = "measured"', 'set state = "delays"')
         if self.state == "delays":
             memory = Span(self.delays + 1, "delays")
@@ -361,15 +360,27 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
         e = np.vstack([model.e, np.zeros_like(model.e)])
-        self._predicted: FloatArray | None = None
-        self._u = resting_input(loop)
         self._predictor = Predictor(
             *(a, b, c, e, model.f), self, loop, self._scales, self._method_loop.controlled
         )
+        self._begin(loop)
         if loop.continues_recording:
             self._u, self._last_d = recording.u[-1].copy(), recording.d[-1]
             self._predict(z[-1])
-        elif loop.past:
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: the model and all that follows from it stay."""
+        if loop.continues_recording:
+            self.start(loop)
+        else:
+            self._begin(self._again(loop))
+
+    def _begin(self, loop: Loop) -> None:
+        """Begin at rest, or where a running plant is."""
+        self._disturbance, self._last_d = self._model.constant, np.zeros(len(loop.disturbances))
+        self._predicted: FloatArray | None = None
+        self._u = resting_input(loop)
+        if loop.past and not loop.continues_recording:
             self._take_over(loop.past)
 
     def _step(self, sample: Sample) -> FloatArray | Action:

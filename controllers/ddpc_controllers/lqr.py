@@ -85,10 +85,13 @@ class LQR(ModelBased):
         self._sums_of_inputs = np.linalg.pinv(self._sum_gain)
         self._bounds, self._u_0 = loop.bounds, model.u_0
         self._moving = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
-        # The sums take up what does not change, so the filter estimates no disturbance.
-        self._sum: FloatArray | None = None
         self._continues = loop.continues_recording
+        # The sums take up what does not change, so the filter estimates no disturbance.
         self._observe(loop, "none", 0.0)
+
+    def _begin(self, loop: Loop) -> None:
+        self._sum: FloatArray | None = None
+        super()._begin(loop)
 
     def _take_over(self, past: Recording) -> None:
         """Set the sums as if the inputs before had been its own; an experiment's are not."""

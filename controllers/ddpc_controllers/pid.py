@@ -628,17 +628,29 @@ class PID(Exportable):
         self._tuned = self._tune(loop) if self.tuning != "manual" else None
         self._gains = self._tuned.gains if self._tuned else self._given()
         h = loop.sampling_time
-        self._sampling_time = self._elapsed = h
+        self._sampling_time = h
         # A loop without integral action has nothing that winds up, and would not get its bias back.
         self._tracking = np.where(self._gains.integral != 0.0, h / max(self.tracking_time, h), 0.0)
-        self._u = resting_input(loop)
         self._low, self._high = loop.bounds.u_min[self._pairs], loop.bounds.u_max[self._pairs]
         self._moving = bool({loop.inputs[i].name for i in self._pairs} & {*loop.moving_limits})
+        self._forward = self._fed_forward(loop)
+        self._begin(loop)
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: the gains stay."""
+        if self._forward:
+            self.start(loop)
+        else:
+            self._begin(loop)
+
+    def _begin(self, loop: Loop) -> None:
+        """Begin at rest, or where a running plant is, or the recording ends if the loop goes on there."""
+        self._elapsed = self._sampling_time
+        self._u = resting_input(loop)
         self._derivative = np.zeros(len(self._pairs))
         self._integral: FloatArray | None = None
         self._y: FloatArray | None = None
         self._taken_over = False
-        self._forward = self._fed_forward(loop)
         if loop.continues_recording and loop.recording is not None:
             self._u, self._y = loop.recording.u[-1].copy(), loop.recording.y[-1]
         elif loop.past:

@@ -112,9 +112,13 @@ class PublishedWKPC(WKPC):
     def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
         return super()._stack(padded_with_zeros(recording, self.initial_length), lifted)
 
-    def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
-        super()._begin(loop, recording, lifted)
-        self._lifted, self._last_state = lifted.copy(), np.empty(0)
+    def restart(self, loop: Loop) -> None:
+        """Begin anew, the lifted memory included, which has grown."""
+        self.start(loop)
+
+    def _begin(self, loop: Loop, recording: Recording) -> None:
+        super()._begin(loop, recording)
+        self._lifted, self._last_state = self._recorded.copy(), np.empty(0)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         if all_finite(sample.y) and all_finite(sample.measured):

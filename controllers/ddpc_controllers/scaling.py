@@ -193,14 +193,17 @@ class Scales:
             bounds=Bounds(
                 bounds.u_min / self.u, bounds.u_max / self.u, bounds.y_min / self.y, bounds.y_max / self.y
             ),
-            recording=self._in_parts(loop.recording),
-            past=self._in_parts(loop.past),
+            recording=self.of_recording(loop.recording),
+            past=self.of_recording(loop.past),
             disturbances=_scaled(loop.disturbances, self.d),
             charges=tuple(c._replace(rate=c.rate * float(sizes.get(c.signal, 1.0))) for c in loop.charges),
         )
 
-    def _in_parts(self, recording: Recording | None) -> Recording | None:
-        return recording and replace(
+    def of_recording(self, recording: Recording | None) -> Recording | None:
+        """Return a recording in scaled signals."""
+        if self._trivial or recording is None:
+            return recording
+        return replace(
             recording,
             u=recording.u / self.u,
             y=recording.y / self.y,
@@ -386,12 +389,15 @@ class Predicted:
                 np.append(bounds.y_max, endless),
             ),
             disturbances=tuple(loop.disturbances[i] for i in self._kept),
-            recording=self._of_recording(loop.recording),
-            past=self._of_recording(loop.past),
+            recording=self.of_recording(loop.recording),
+            past=self.of_recording(loop.past),
         )
 
-    def _of_recording(self, recording: Recording | None) -> Recording | None:
-        return recording and replace(
+    def of_recording(self, recording: Recording | None) -> Recording | None:
+        """Return what the method sees of a recording."""
+        if self._trivial or recording is None:
+            return recording
+        return replace(
             recording,
             y=np.hstack([recording.y, recording.measured[:, self._rows]]),
             d=recording.d[:, self._kept],
@@ -434,6 +440,11 @@ class ScaledSignals(Exportable):
         """
         self._see(loop)
         self._start_scaled()
+
+    def _again(self, loop: Loop) -> Loop:
+        """Return the scaled loop that the method was started in, with another past."""
+        past = self._scales.of_recording(self._method_loop.of_recording(loop.past))
+        return replace(self._scales.loop, past=past)
 
     def _see(self, loop: Loop) -> Loop:
         """Return the loop that the method sees, in the units of the plant; set its scales."""

@@ -111,15 +111,16 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         rng = copy.deepcopy(loop.rng)
         memory = memory_of(self.dictionary)
         self._memory = memory
+        self._recent = recording.measured[-1 - memory :]
         self._last = LastMeasurement(recording.measured, recording.y)
-        self._states = StateWindow(recording.measured[-1 - memory :])
+        self._states = StateWindow(self._recent)
         states = embed(recording.measured, memory, recording.seams)
         recording = without_first(recording, memory)
         self._observables = self._draw(states, rng)
         lifted = self._lift(states)
         m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
         self._inputs, self._outputs = m, p
-        self._ends, self._info = predicted_ends(loop.outputs), NO_INFO
+        self._ends = predicted_ends(loop.outputs)
         controlled = self._method_loop.controlled
         units = self._scales.u, self._scales.y, self._scales.d
         self._outlook = Outlook(
@@ -154,7 +155,16 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             )
         online = self._learner.data if self._learner else None
         self._law = make_law(self._problem, self._data, self._limits, make_backend(self.backend), online)
-        self._begin(loop, recording, lifted)
+        self._recorded = lifted
+        self._begin(loop, recording)
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: what was learned stays, unless it follows the plant."""
+        if self._learner is not None:
+            self.start(loop)
+        else:
+            again = self._again(loop)
+            self._begin(again, matching_recording(again, "WKPC"))
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
@@ -337,8 +347,11 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
         """How many samples of a running plant fill the past window, and what is lifted of it."""
         return self.initial_length + memory_of(self.dictionary)
 
-    def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
+    def _begin(self, loop: Loop, recording: Recording) -> None:
         """Fill the past: with the samples before the first, or with rest as far as it is known yet."""
+        lifted, self._info = self._recorded, NO_INFO
+        self._last.take(self._recent[-1])
+        self._states = StateWindow(self._recent)
         before, past = (
             samples_before(loop, self.initial_length + self._memory),
             slice(-self.initial_length, None),

@@ -30,7 +30,7 @@ TIME_TOLERANCE = 0.01
 PARQUET = ".parquet"
 _LARGEST = 100_000_000
 _MOST_LISTED = 8
-_DELIMITERS = ";\t,"
+_DELIMITERS = ";\t,|"
 # A header with a unit; brackets that touch the name and hold numbers are an array's index.
 _UNIT = re.compile(r"(?P<name>.*\S)(?:\s+|(?!\[[\d,\s]*\]))\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
 _UNIT_IN_PARENTHESES = re.compile(r"(?P<name>.*\S)\s+\((?P<unit>[^()]*)\)", re.DOTALL)

@@ -3,36 +3,59 @@
 import codecs
 import csv
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.csv_files import PARQUET, Column, delimiter_of, find_column, load_pyarrow, split_unit
-from ddpc_cosim.files.log_dates import Dates, Instants, excel_dates, is_date, read_dates
+from ddpc_cosim.files.log_dates import (
+    NO_TIME,
+    Dates,
+    Instants,
+    dates_at,
+    epochs,
+    excel_dates,
+    is_clock,
+    is_date,
+    read_clocks,
+    read_dates,
+)
 from ddpc_cosim.files.log_format import Faults, LogFormat
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.units import is_unit
 
 _LARGEST = 4_000_000_000
 _ROWS = 20_000  # that are converted at once
+_BLOCK = 1 << 20
 _HEAD = 60  # lines among which the header is
 _TIME = Variable("time", unit="s")
 _TIME_HINT = " (time_column says which column the time is)"
 _SEPARATOR = re.compile(r"\s*\"?sep=(.)\"?\s*")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[.,' \u00a0\u202f]\d{3})+(?:[.,]\d+)?|[+-]?\d{1,3}(?:,\d{3})+\.\d+")
 _LIKELY_TIME = re.compile(
-    r"^(?:time|date|datum|zeit|timestamp|t\b)|time\s*stamp|zeitstempel|uhrzeit", re.IGNORECASE
+    r"^(?:time|date|datum|zeit|x_value|t\b)|(?:^|[\s_])(?:time|date|datum|zeit)\b|time\s*stamp|zeitstempel|uhrzeit",
+    re.IGNORECASE,
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
+_GROUPED = "thousands are separated there: export numbers without that"
 _TRUTHS = {"true": 1.0, "false": 0.0}
+_SWITCHED = {"on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0, "ein": 1.0, "aus": 0.0, "ja": 1.0, "nein": 0.0}
+_LONG = {
+    "varname": ("varvalue",),
+    "entity_id": ("state",),
+    "_field": ("_value",),
+    **dict.fromkeys(("tag", "tagname", "variable", "point", "signal", "name"), ("value", "wert")),
+}
+"""How tables with a row for each value of each signal call the column of names, and that of values."""
+_END_OF_HEADER = "***End_of_Header***"
 
 
 @dataclass(slots=True, eq=False)
@@ -127,13 +150,16 @@ class _Numbers:
         self._parts.append(self._converted(cells, said, plain="_" not in joined))
         self._rows += len(cells)
 
-    def take_plain(self, values: FloatArray, marks: Iterable[str]) -> None:
-        """Take numbers that follow those before, and the decimal marks that they are written with."""
+    def take_plain(self, values: FloatArray, marks: Iterable[str] = ()) -> None:
+        """Take numbers that follow those before, NaN for none, and the decimal marks of their text."""
         for mark in marks:
             self.marks.setdefault(mark, self._rows)
+        for i in np.flatnonzero(np.isinf(values)).tolist():
+            self.words[self._rows + i] = str(values[i])
+            values[i] = np.nan
+        self._filled += int(np.count_nonzero(~np.isnan(values)))
         self._parts.append(values)
         self._rows += len(values)
-        self._filled += len(values)
 
     def _converted(self, cells: Sequence[str], said: Sequence[str], *, plain: bool) -> FloatArray:
         values = None
@@ -154,6 +180,14 @@ class _Numbers:
                 kind = self.odd if any(letter.isdigit() for letter in text) else self.words
                 kind[self._rows + i] = text[:40]
         return values
+
+    def read_switches(self) -> None:
+        """Take ``ON`` and ``OFF`` for 1 and 0, where nothing else is in the column."""
+        if not self.odd and self._filled == len(self.words):
+            values, read = self.values, {i: _SWITCHED.get(word.lower()) for i, word in self.words.items()}
+            if self.words and None not in read.values():
+                values[[*read]] = [*read.values()]
+                self._parts, self.words = [values], {}
 
     @property
     def values(self) -> FloatArray:
@@ -189,13 +223,7 @@ def read_cells(
         It cannot be read at all.
     """
     try:
-        if not path.is_file():
-            raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
-        if (size := path.stat().st_size) > _LARGEST:
-            raise DataError(
-                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-                "columns and rows that are needed"
-            )
+        _require_readable(path)
         if path.suffix == PARQUET:
             return _Reader(path, format, columns, faults, lenient=lenient).parquet()
         encoding = _marked(path) or format.encoding
@@ -211,6 +239,76 @@ def read_cells(
         raise DataError(f"{path}: cannot be read: {error}") from error
 
 
+def headers_of(path: Path, format: LogFormat, names: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the headers of the columns of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    format : LogFormat
+        How it is read.
+    names : collection of str
+        Headers that may be in it, by which they are told from what stands above them.
+
+    Raises
+    ------
+    DataError
+        It cannot be read.
+    """
+    columns = [Column(None, name) for name in names] or None
+    reader = _Reader(path, format, columns, Faults(), lenient=True)
+    try:
+        _require_readable(path)
+        if path.suffix == PARQUET:
+            return tuple(load_pyarrow().parquet.read_schema(path).names)
+        return reader.head(_marked(path) or format.encoding).header
+    except UnicodeDecodeError as error:
+        where, what = _not_text(path, format.encoding)
+        raise DataError(f"{path}{where}: {what}") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+
+
+def likely_times(headers: Sequence[str]) -> list[int]:
+    """Return which columns are likely to be the time: none, one, or those of date and time."""
+    likely = [i for i, title in enumerate(headers) if _LIKELY_TIME.search(title) and _may_be_time(title)]
+    if likely and not _IS_DATE.search(headers[likely[0]]):
+        return likely[:1]
+    return likely[:2]
+
+
+def _may_be_time(header: str) -> bool:
+    with suppress(ConfigError):
+        converter(_TIME, split_unit(header)[1])
+        return True
+    return False
+
+
+def encoding_of(*paths: Path) -> Literal["utf-8", "cp1252"]:
+    """Return how files are likely to be coded that do not begin with a mark that says it."""
+    return "utf-8" if all(_marked(path) or _is_utf_8(path) for path in paths) else "cp1252"
+
+
+def _is_utf_8(path: Path) -> bool:
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    with path.open("rb") as file, suppress(UnicodeDecodeError):
+        while block := file.read(_BLOCK):
+            decoder.decode(block)
+        return True
+    return False
+
+
+def _require_readable(path: Path) -> None:
+    if not path.is_file():
+        raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    if (size := path.stat().st_size) > _LARGEST:
+        raise DataError(
+            f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+            "columns and rows that are needed"
+        )
+
+
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
@@ -218,7 +316,9 @@ def _marked(path: Path) -> str:
     """Return the encoding that a file's first bytes say; empty if they say none."""
     with path.open("rb") as file:
         begin = file.read(3)
-    return next((encoding for mark, encoding in _MARKS.items() if begin.startswith(mark)), "")
+    marked = next((encoding for mark, encoding in _MARKS.items() if begin.startswith(mark)), "")
+    without_mark = {b"\0": "utf-16-le"}.get(begin[1:2]) or {b"\0": "utf-16-be"}.get(begin[:1], "")
+    return marked or without_mark  # of UTF-16, one of the two bytes of a letter is 0
 
 
 def _not_text(path: Path, encoding: str) -> tuple[str, str]:
@@ -259,12 +359,14 @@ class _Reader:
         self._path, self._format, self._columns, self._faults = path, format, columns, faults
         self._lenient, self._file = lenient, str(path)
         self._lines: list[int] = []
+        self._instants: list[Instants] = []
+        self._with_zone = False
         self._wrong: list[tuple[str, str]] = []
+        self._has_more = False
 
     def text(self, encoding: str) -> LogTable:
         """Return the numbers of a CSV file."""
-        with self._path.open(encoding=encoding, newline="") as file:
-            head = self._head(list(islice(file, _HEAD)))
+        head = self.head(encoding)
         self._begin(head)
         with self._path.open(encoding=encoding, newline="") as file:
             lines = iter(file)
@@ -276,9 +378,16 @@ class _Reader:
                 if not self._take_plain(piece, head, before):
                     self._take_rows(piece, head, before)
                 before += len(piece)
-        hint = "a decimal comma needs columns separated by semicolons" if head.delimiter == "," else ""
+        hint = "" if self._has_more else "delete what is not a row of the table"
+        if self._has_more and head.delimiter == ",":
+            hint = "a decimal comma needs columns separated by semicolons"
         self._faults.add("rows", self._file, self._wrong, hint)
         return self._table(head)
+
+    def head(self, encoding: str) -> _Head:
+        """Return what stands before the rows of a CSV file."""
+        with self._path.open(encoding=encoding, newline="") as file:
+            return self._head(list(islice(file, _HEAD)))
 
     def parquet(self) -> LogTable:
         """Return the numbers of a Parquet file."""
@@ -291,14 +400,16 @@ class _Reader:
             for batch in file.iter_batches(_ROWS, use_threads=False):
                 begun = len(self._lines)
                 self._lines += range(begun + 1, begun + 1 + batch.num_rows)
-                self._take([_cells_of(pyarrow, column) for column in batch.columns])
+                self._take_columns(pyarrow, batch.columns)
         except pyarrow.ArrowException as error:
             raise ValueError(f"not a Parquet file: {error}") from error
         return self._table(head)
 
     def _head(self, lines: list[str]) -> _Head:
         """Return the header: of the first lines the one that has most of the names that are known."""
-        first = next((i for i, line in enumerate(lines) if line.strip()), -1)
+        ends = [i for i, line in enumerate(lines, 1) if line.startswith(_END_OF_HEADER)]
+        above = ends[-1] if ends else 0
+        first = next((i for i, line in enumerate(lines) if i >= above and line.strip()), -1)
         if first < 0:
             raise DataError(f"{self._file}: is empty; needed: a header and one row per sample")
         said = _SEPARATOR.fullmatch(lines[first].strip("\r\n"))
@@ -314,21 +425,36 @@ class _Reader:
             if not filled:
                 raise DataError(f"{self._file}: has no header; needed: a header and one row per sample")
             alike = [i for i in filled if len(rows[i]) == len(rows[filled[-1]])]
-            chosen = (alike if self._columns is None else filled)[0]
+            chosen = (filled if ends or self._columns else alike)[0]
         delimiter = said[1] if said else delimiter_of(lines[chosen])
         reader = csv.reader(lines[chosen:], delimiter=delimiter, skipinitialspace=True, strict=True)
         try:
             header = tuple(cell.strip() for cell in next(reader, []))
+            if ends and header[-1:] == ("Comment",):  # of LabVIEW, whose rows leave it out
+                header = header[:-1]
             end = chosen + reader.line_num
             below = [cell.strip() for cell in next(reader, [])]
         except csv.Error as error:
             where = f"line {chosen + max(reader.line_num, 1)}"
             raise DataError(f"{self._file}, {where}: not a CSV file: {error}") from error
+        self._require_wide(header)
         units = [split_unit(name)[1] for name in header]
         if len(below) == len(header) and _are_units(below):
             end = chosen + reader.line_num
             units = [unit or cell.strip("[]() ") for unit, cell in zip(units, below, strict=True)]
         return _Head(delimiter, header, tuple(units), end)
+
+    def _require_wide(self, header: Sequence[str]) -> None:
+        """Refuse a table with a row for each value of each signal."""
+        titles = {title.lower(): title for title in header}
+        pairs = ((name, value) for name, values in _LONG.items() for value in values)
+        name, value = next((pair for pair in pairs if titles.keys() >= {*pair}), ("", ""))
+        if name and (self._columns is None or not {column.header for column in self._columns} <= {*header}):
+            raise DataError(
+                f'{self._file}: each row has one value of one signal ("{titles[name]}", "{titles[value]}"); '
+                "needed: a row per sample and a column per signal: export it so, or in pandas "
+                f'`table.pivot(index=the time, columns="{titles[name]}", values="{titles[value]}")`'
+            )
 
     def _begin(self, head: _Head) -> None:
         """Note which columns are read."""
@@ -343,7 +469,7 @@ class _Reader:
             self._wanted = [self._located(head, column) for column in self._columns]
         indices = {wanted.place for wanted in self._wanted if wanted.place is not None}
         self._numbers = {i: _Numbers(with_comma=head.delimiter != ",") for i in sorted(indices)}
-        self._times: list[list[str]] = [[] for _ in self._of_time]
+        self._times: list[list[Sequence[str] | FloatArray]] = [[] for _ in self._of_time]
 
     def _time_indices(self, head: _Head) -> list[int]:
         """Return the columns of the time; of a log that is read leniently those that are likely to be it."""
@@ -353,17 +479,15 @@ class _Reader:
                 indices.append(find_column(self._file, head.header, name))
             except DataError as error:
                 absent += error.faults
-        likely = [i for i, title in enumerate(head.header) if _LIKELY_TIME.search(title)]
-        if likely and not _IS_DATE.search(head.header[likely[0]]):
-            likely = likely[:1]
-        titles = [f'"{split_unit(head.header[i])[0]}"' for i in likely[:2]]
+        likely = likely_times(head.header)
+        titles = [f'"{split_unit(head.header[i])[0]}"' for i in likely]
         remedy = f"write time_column = {titles[0]}" if len(titles) == 1 else ""
         if len(titles) == 2:
             remedy = f"write time_column = [{', '.join(titles)}]"
         if absent:
             fault = f'{self._file}: no column "{names[0]}"' if remedy else absent[0] + _TIME_HINT
             self._faults.add("time column", "", [("", fault)], remedy)
-        return likely[:2] if self._lenient and absent else indices
+        return likely if self._lenient and absent else indices
 
     def _located(self, head: _Head, column: Column) -> _Wanted:
         variable, header, unit, difference = column
@@ -394,24 +518,26 @@ class _Reader:
         times, width = len(self._of_time), len(head.header)
         if self._of_time != [*range(times)] or len(self._numbers) < width - times or width == times:
             return False
-        parts = [line.split(head.delimiter, times) for line in lines]
-        if any(len(part) <= times for part in parts):
+        # Times that are numbers are read with the others, which spares each line of them its own cut.
+        apart = 0 if times == 1 and self._is_number(lines[0].partition(head.delimiter)[0]) else times
+        parts = [line.split(head.delimiter, apart) for line in lines] if apart else []
+        if any(len(part) <= apart for part in parts):
             return False
-        text = "\n".join([part[-1].rstrip("\r\n") for part in parts])
+        text = "\n".join([part[-1].rstrip("\r\n") for part in parts]) if parts else "".join(lines)
         marks = [mark for mark in ",." if mark != head.delimiter and mark in text]
         if len(marks) > 1 or not text.strip():
             return False
         try:
             numbers = text.replace(",", ".") if "," in marks else text
-            values = np.loadtxt(numbers.split("\n"), delimiter=head.delimiter, comments=None, ndmin=2)
+            values = np.loadtxt(numbers.splitlines(), delimiter=head.delimiter, comments=None, ndmin=2)
         except ValueError:
             return False
-        if values.shape != (len(lines), width - times) or not np.isfinite(values).all():
+        if values.shape != (len(lines), width - apart) or not np.isfinite(values).all():
             return False
         for index, column in self._numbers.items():
-            column.take_plain(values[:, index - times].copy(), marks)
-        for n, cells in enumerate(self._times):
-            cells += [part[n] for part in parts]
+            column.take_plain(values[:, index - apart].copy(), marks)
+        for n, pieces in enumerate(self._times):
+            pieces.append([part[n] for part in parts] if apart else values[:, n].copy())
         self._lines += range(before + 1, before + len(lines) + 1)
         return True
 
@@ -423,6 +549,8 @@ class _Reader:
             for row in reader:
                 if len(row) == width + 1 and not row[-1]:
                     row.pop()
+                if tuple(map(str.strip, row)) == head.header:  # a logger that was started again
+                    continue
                 if len(row) == width and any(row):
                     rows.append(row)
                     self._lines.append(before + reader.line_num)
@@ -430,6 +558,7 @@ class _Reader:
                         self._take(list(zip(*rows, strict=True)))
                         rows = []
                 elif any(row):
+                    self._has_more |= len(row) > width
                     what = f"{len(row)} cells, and {width} columns in the header"
                     self._wrong.append((f"line {before + reader.line_num}", what))
         except csv.Error as error:
@@ -441,14 +570,33 @@ class _Reader:
     def _take(self, columns: Sequence[Sequence[str]]) -> None:
         for index, numbers in self._numbers.items():
             numbers.take(columns[index])
-        for cells, index in zip(self._times, self._of_time, strict=True):
-            cells += columns[index]
+        for pieces, index in zip(self._times, self._of_time, strict=True):
+            pieces.append(columns[index])
+
+    def _take_columns(self, pyarrow: Any, columns: Sequence[Any]) -> None:
+        """Take columns of a Parquet file, numbers and dates as what they are."""
+        for index, numbers in self._numbers.items():
+            values = _numbers_of(pyarrow, columns[index])
+            if values is None:
+                numbers.take(_cells_of(columns[index]))
+            else:
+                numbers.take_plain(values)
+        of_time = [columns[index] for index in self._of_time]
+        if len(of_time) == 1 and pyarrow.types.is_timestamp(of_time[0].type):
+            self._with_zone = of_time[0].type.tz is not None
+            self._instants.append(_instants_of(pyarrow, of_time[0]))
+            return
+        for pieces, column in zip(self._times, of_time, strict=True):
+            values = _numbers_of(pyarrow, column)
+            pieces.append(_cells_of(column) if values is None else values)
 
     def _table(self, head: _Head) -> LogTable:
         lines = np.array(self._lines, dtype=np.int64)
         if not lines.size:
             what = "a header and no rows; needed: one row per sample"
             self._faults.add("no rows", self._file, [("", what)])
+        for numbers in self._numbers.values():
+            numbers.read_switches()
         texts = [i for i, numbers in self._numbers.items() if numbers.are_texts]
         if self._columns is None:
             self._wanted = [wanted for wanted in self._wanted if wanted.place not in texts]
@@ -500,8 +648,16 @@ class _Reader:
             for row, cell in numbers.odd.items()
         ]
         cells = [cell for numbers in columns.values() for cell in numbers.odd.values()]
+        if self._columns is None:
+            grouped = [
+                (f'line {lines[row]}, column "{head.header[i]}"', f'"{cell}" is not a finite number')
+                for i in texts
+                for row, cell in self._numbers[i].odd.items()
+                if _THOUSANDS.fullmatch(cell)
+            ]
+            self._faults.add("thousands", self._file, grouped, _GROUPED)
         are_grouped = any(map(_THOUSANDS.fullmatch, cells))
-        remedy = "thousands are separated there: export numbers without that" if are_grouped else ""
+        remedy = _GROUPED if are_grouped else ""
         self._faults.add("numbers", self._file, odd, remedy)
         first = {
             mark: [numbers.marks[mark] for numbers in columns.values() if mark in numbers.marks]
@@ -520,34 +676,52 @@ class _Reader:
         seconds = np.full(rows, np.nan)
         if not self._of_time or not rows:
             return seconds, None, {}, "", False
-        cells: Sequence[str] = self._times[0]
+        written = self._format.dates
+        if self._instants:
+            instants = np.concatenate(self._instants)
+            return seconds, *dates_at(instants, self._format.time_zone, with_zone=self._with_zone)
+        pieces = self._times[0]
         if len(self._times) > 1:
-            cells = [" ".join(parts).strip() for parts in zip(*self._times, strict=True)]
-        written, first = self._format.dates, next(filter(str.strip, cells), "")
-        is_number = np.isfinite(number(first.replace(",", ".")))
-        if not is_number and (is_date(first) or written in ("dd/mm/yyyy", "mm/dd/yyyy")):
+            columns = [chain(*map(_as_cells, column)) for column in self._times]
+            pieces = [[" ".join(parts).strip() for parts in zip(*columns, strict=True)]]
+        first = next(filter(str.strip, chain.from_iterable(map(_as_cells, pieces))), "")
+        if not self._is_number(first) and (is_date(first) or written in ("dd/mm/yyyy", "mm/dd/yyyy")):
+            cells = [*chain.from_iterable(map(_as_cells, pieces))]
             dates = read_dates(cells, written, self._format.time_zone)
             if self._lenient and dates.faults and written == "auto":
                 dates = self._guessed(head, cells, dates)
             return seconds, *dates
+        if is_clock(first):
+            seconds, untimed = read_clocks([*chain.from_iterable(map(_as_cells, pieces))])
+            return seconds, None, untimed, "", False
         numbers = _Numbers(with_comma=head.delimiter != ",")
-        numbers.take(cells)
+        for piece in pieces:
+            if isinstance(piece, np.ndarray):
+                numbers.take_plain(piece)
+            else:
+                numbers.take(piece)
         seconds = numbers.values
         wrong = {
-            row: f'"{cells[row].strip()[:40]}" is neither a number nor a date that is known'
-            if cells[row].strip()
+            row: f'"{numbers.texts[row]}" is neither a number nor a date that is known'
+            if row in numbers.texts
             else "the cell is empty"
             for row in np.flatnonzero(~np.isfinite(seconds)).tolist()
         }
         if written == "excel":
             return seconds, excel_dates(seconds), wrong, "", True
+        unit = head.units[self._of_time[0]]
+        if not unit and (since_1970 := epochs(seconds)) is not None:
+            return np.full(rows, np.nan), since_1970, wrong, "", False
         try:
-            convert = converter(_TIME, head.units[self._of_time[0]])
+            convert = converter(_TIME, unit)
         except ConfigError as error:
             where = f'column "{self._time_header(head)}"'
             self._faults.add("time unit", self._file, [(where, fault) for fault in error.faults])
             return np.full(rows, np.nan), None, {}, "", False
         return convert(seconds), None, wrong, "", False
+
+    def _is_number(self, cell: str) -> bool:
+        return bool(np.isfinite(number(cell.replace(",", "."))))
 
     def _guessed(self, head: _Head, cells: Sequence[str], dates: Dates) -> Dates:
         """Return dates read with the day or the month first, whichever fits; what is wrong is reported."""
@@ -584,6 +758,26 @@ def _are_units(cells: Sequence[str]) -> bool:
     return any(map(is_unit, words)) and all(is_unit(cell) or len(cell) < _LONGEST_UNIT for cell in words)
 
 
-def _cells_of(pyarrow: Any, column: Any) -> Sequence[str]:
+def _as_cells(piece: Sequence[str] | FloatArray) -> Sequence[str]:
+    return [*map(str, piece.tolist())] if isinstance(piece, np.ndarray) else piece
+
+
+def _cells_of(column: Any) -> Sequence[str]:
     """Return the cells of a Parquet column as a CSV file would have them."""
     return ["" if cell is None else str(cell) for cell in column.to_pylist()]
+
+
+def _numbers_of(pyarrow: Any, column: Any) -> FloatArray | None:
+    """Return the numbers of a Parquet column, NaN where there is none; None if it holds something else."""
+    kinds, kind = pyarrow.types, column.type
+    are_numbers = kinds.is_floating, kinds.is_integer, kinds.is_boolean, kinds.is_decimal, kinds.is_null
+    if not any(is_kind(kind) for is_kind in are_numbers):
+        return None
+    return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False))
+
+
+def _instants_of(pyarrow: Any, column: Any) -> Instants:
+    """Return the times of a Parquet column of dates; NO_TIME where there is none."""
+    whole = column.cast(pyarrow.timestamp("us", column.type.tz), safe=False).cast(pyarrow.int64())
+    values: Instants = np.array(whole.fill_null(NO_TIME).to_numpy(zero_copy_only=False))
+    return values

@@ -18,11 +18,29 @@ _EPOCH = datetime(1970, 1, 1)
 _MICROSECOND = timedelta(microseconds=1)
 _QUARTER = 900 * 10**6  # within which no zone changes its offset
 _MOST_KEPT = 100_000
+_DAY = 86_400.0
+_MILLISECONDS = 1e11  # from which on a number is not seconds since 1970, which would be of the year 5138
+_CLOCK = re.compile(r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d{1,9})?)?(?:\s*[AaPp]\.?[Mm]\.?)?")
 _EXCEL = datetime(1899, 12, 30)
 _DATE = re.compile(
     r"(?P<first>\d{1,4})(?P<mark>[./-])(?P<second>\d{1,2})(?P=mark)(?P<third>\d{4}|\d{1,2})"
     r"(?:[T,\s]\s*(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<seconds>\d{2})(?:[.,:](?P<fraction>\d{1,9}))?)?"
     r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<offset>Z|[+-]\d{2}:?\d{2})?)?"
+)
+_NAMED = re.compile(r"(\d{1,2})([-./])([^\W\d_]{3,9})\.?\2(\d{4}|\d{2})(?=[T,\s]|$)")
+_MONTHS = (
+    ("jan",),
+    ("feb",),
+    ("mar", "mrz", "mär"),
+    ("apr",),
+    ("may", "mai"),
+    ("jun",),
+    ("jul",),
+    ("aug",),
+    ("sep",),
+    ("oct", "okt"),
+    ("nov",),
+    ("dec", "dez"),
 )
 _ORDERS = {"dd/mm/yyyy": "dmy", "mm/dd/yyyy": "mdy"}
 
@@ -55,7 +73,45 @@ def date_in(cell: str, order: str = "") -> datetime | None:
 
 def is_date(cell: str) -> bool:
     """Whether a cell is a date, though perhaps an ambiguous one."""
-    return _iso(cell) is not None or _DATE.fullmatch(cell.strip()) is not None
+    return _iso(cell) is not None or _DATE.fullmatch(_in_numbers(cell.strip())) is not None
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell is a time of the day without a date."""
+    return _CLOCK.fullmatch(cell.strip()) is not None
+
+
+def read_clocks(cells: Sequence[str]) -> tuple[FloatArray, dict[int, str]]:
+    """Return times of the day [s], a day more after each midnight, and what is wrong with others by row."""
+    dates = read_dates([f"1970-01-01 {cell.strip()}" for cell in cells], "auto", "")
+    known = dates.instants > NO_TIME
+    seconds = np.where(known, dates.instants / 1e6, np.nan)
+    days = np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -_DAY / 2)
+    seconds[known] += _DAY * days
+    faults = {i: f'"{cells[i].strip()[:40]}" is not a time of the day' for i in dates.faults}
+    return seconds, {i: what if cells[i].strip() else _EMPTY for i, what in faults.items()}
+
+
+def epochs(numbers: FloatArray) -> Instants | None:
+    """Return the times of numbers since 1970 in ms, us or ns, by their size; None if they are seconds."""
+    known = np.isfinite(numbers)
+    smallest = np.abs(numbers[known]).min(initial=np.inf)
+    if not _MILLISECONDS <= smallest < np.inf:
+        return None
+    power = 3 - 3 * int(smallest >= _MILLISECONDS * 1e3) - 3 * int(smallest >= _MILLISECONDS * 1e6)
+    instants = np.full(len(numbers), NO_TIME, dtype=np.int64)
+    instants[known] = np.round(numbers[known] * 10.0**power).astype(np.int64)
+    return instants
+
+
+def _in_numbers(cell: str) -> str:
+    """Return a date whose month is named, as dd.mm.yyyy."""
+    match = _NAMED.match(cell)
+    if match is None:
+        return cell
+    begin = match[3].lower()[:3]
+    month = next((i for i, names in enumerate(_MONTHS, 1) if begin in names), 0)
+    return f"{match[1]}.{month}.{match[4]}{cell[match.end() :]}"
 
 
 def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
@@ -74,9 +130,12 @@ def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
     said = _Said(order)
     moments = [said.moment(cell) for cell in cells]
     wrong = [i for i, moment in enumerate(moments) if moment is None]
+    empty = {i: _EMPTY for i in wrong if not cells[i].strip()}
+    wrong = [i for i in wrong if i not in empty]
     faults, remedy = {i: f'"{cells[i].strip()[:40]}" is not a date' for i in wrong}, ""
     if wrong:
         faults, remedy = _ambiguous([cells[i] for i in wrong], wrong, order) or (faults, _KNOWN)
+    faults |= empty
     instants = np.array([NO_TIME if moment is None else moment[0] for moment in moments], dtype=np.int64)
     has_offset = np.array([moment is not None and moment[1] for moment in moments], dtype=bool)
     local = ~has_offset & (instants > NO_TIME)
@@ -88,13 +147,29 @@ def read_dates(cells: Sequence[str], written: str, time_zone: str) -> Dates:
             for i in np.flatnonzero(local if usual else has_offset).tolist()
         }
         faults, remedy = faults | odd, 'time_zone = "Europe/Berlin", or where it was, says that of the others'
+    return _placed(instants, local, time_zone, faults, remedy)
+
+
+def dates_at(instants: Instants, time_zone: str, *, with_zone: bool) -> Dates:
+    """Return the times that instants say, NO_TIME where there is none: universal ones, or local times."""
+    faults = {int(i): _EMPTY for i in np.flatnonzero(instants == NO_TIME)}
+    local: NDArray[np.bool_] = (instants > NO_TIME) & (not with_zone)
+    return _placed(instants, local, time_zone, faults, "")
+
+
+def _placed(
+    instants: Instants, local: NDArray[np.bool_], time_zone: str, faults: dict[int, str], remedy: str
+) -> Dates:
+    """Make local times universal ones, if their zone is known."""
     if time_zone and local.any():
+        said = instants.copy()
         for i in _to_universal(instants, local, time_zone):
-            faults[i] = f'"{cells[i].strip()[:40]}" does not exist in {time_zone}, where an hour was left out'
+            faults[i] = f'"{date_of(int(said[i]))}" does not exist in {time_zone}, where an hour was left out'
             remedy = "leave time_zone out if the logger does not know daylight saving"
     return Dates(instants, faults, remedy, bool(local.any()) and not time_zone)
 
 
+_EMPTY = "the cell is empty"
 _KNOWN = 'needed: ISO 8601 or dd.mm.yyyy, or what dates = "dd/mm/yyyy", "mm/dd/yyyy" or "excel" says'
 
 
@@ -172,7 +247,7 @@ class _Said:
 
 
 def _from_parts(cell: str, order: str) -> datetime | None:
-    match = _DATE.fullmatch(cell.strip())
+    match = _DATE.fullmatch(_in_numbers(cell.strip()))
     if match is None:
         return None
     first, mark, second, third, hour, minute, seconds, fraction, half, offset = match.groups()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.files.csv_files import PARQUET, CSVFile, load_pyarrow, split_unit
+from ddpc_cosim.files.log_cells import encoding_of, headers_of, likely_times
 from ddpc_cosim.files.logs import Log, LogFormat, read_log
 from ddpc_cosim.inspection.columns import (
     ColumnFacts,
@@ -19,14 +19,12 @@ from ddpc_cosim.inspection.columns import (
     whole_pieces,
 )
 from ddpc_cosim.inspection.logs import LogSummary, summarise
-from ddpc_cosim.inspection.words import CERTAIN, Wording, is_reading, setpoint, vocabulary, words_of
+from ddpc_cosim.inspection.words import CERTAIN, Wording, is_reading, setpoint
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 
-_TIMES = vocabulary("time date datetime timestamp zeit datum uhrzeit zeitstempel t")
 _HELD = 0.5
 """Share of rows that are as the row before: what is set is, what is measured with noise is not."""
-_LONGEST_HEAD = 1 << 16
 _SHORTEST_PIECE = 5
 _MOST_NOTED = 8
 
@@ -87,19 +85,11 @@ def inspect_log(
     return summarise(path.name, recording, columns, sampling, [*_notes(log, guesses)])
 
 
-def time_column_of(path: Path) -> str:
-    """Return the header of the time: the first column that is called so; empty where none is."""
-    if path.suffix == PARQUET:
-        headers = [str(name) for name in load_pyarrow().parquet.read_schema(path).names]
-    else:
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
-            head = next((line for line in file if line.strip()), "")[:_LONGEST_HEAD]
-        headers = [*CSVFile(path, head or "\n").header]
-    for header in headers:
-        name, _ = split_unit(header)
-        if {*words_of(name)} & _TIMES:
-            return header
-    return ""
+def time_column_of(path: Path) -> str | list[str]:
+    """Return the header of the time, as columns are called so; of date and time both, empty where none is."""
+    headers = headers_of(path, LogFormat(encoding=encoding_of(path)))
+    titles = [headers[i] for i in likely_times(headers)]
+    return titles if len(titles) > 1 else next(iter(titles), "")
 
 
 def _require_columns(log: Log, given: Mapping[str, Sequence[str]]) -> None:
@@ -196,8 +186,11 @@ def _recording(log: Log, columns: Sequence[ColumnFacts], sampling: SamplingFacts
     ]
     if not pieces:
         return None
-    rows: NDArray[np.intp] = np.concatenate([np.arange(piece.start, piece.stop) for piece in pieces])
+    rows: NDArray[np.intp] | slice = np.concatenate([np.arange(p.start, p.stop) for p in pieces])
+    if len(pieces) == 1:
+        rows = pieces[0]  # a view: a long log is not copied
     ends = np.cumsum([piece.stop - piece.start for piece in pieces])[:-1]
-    u, y, d = (log.values[rows][:, chosen] for chosen in index.values())
+    whole = log.values[rows]
+    u, y, d = (whole[:, chosen] for chosen in index.values())
     period = sampling.sampling_time if np.isfinite(sampling.sampling_time) else 1.0
     return Recording(u, y, y, period, tuple(ends.tolist()), d)

@@ -352,17 +352,16 @@ class _Model:
 
     def answer(self) -> int:
         """Return when 95 % of the slowest step response have passed, in samples; 0 if none settles."""
+        from scipy.signal import lfilter
+
         latest = 0
-        a = self._x[1 : 1 + self.order]
+        a = np.concatenate([[1.0], -self._x[1 : 1 + self.order]])
         for i in self._inputs:
             gain, low, high = self.gain(i)
             if self.chance(i) >= _SIGNIFICANT or not np.isfinite([low, high]).all():
                 continue
-            b = self._x[self._of(i)].cumsum()
-            response = np.zeros(_LONGEST_RESPONSE)
-            for k in range(self._delays[i], _LONGEST_RESPONSE):
-                past = response[max(k - self.order, 0) : k][::-1]
-                response[k] = a[: len(past)] @ past + b[min(k - self._delays[i], self.order - 1)]
+            step = np.arange(_LONGEST_RESPONSE) >= self._delays[i]
+            response = lfilter(self._x[self._of(i)], a, step.astype(np.float64))
             off = np.abs(response - gain) > (1.0 - _SETTLED) * abs(gain)
             if not off[-1]:
                 latest = max(latest, int(np.flatnonzero(off)[-1]) + 1)

@@ -1,6 +1,6 @@
 """A log as what stands in for the plant of a case: its columns, found and read, with every fault at once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -11,8 +11,9 @@ import numpy as np
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.files.csv_files import Column, CSVFile, split_unit
+from ddpc_cosim.files.csv_files import Column, find_column, split_unit
 from ddpc_cosim.files.durations import shown
+from ddpc_cosim.files.log_cells import headers_of
 from ddpc_cosim.files.log_format import WHOLE, LogFormat
 from ddpc_cosim.files.logs import read_log
 from ddpc_cosim.loop.logged import LoggedSignals
@@ -66,11 +67,12 @@ def prepare(
     ConfigError, DataError
         All that is wrong with the log, or it does not fit the case.
     """
-    wanted, file = _wanted(case), CSVFile(log)
+    wanted = _wanted(case)
     _check_columns(columns, wanted)
     logged_as = {**(recording.columns if recording else {}), **columns}
-    found = _located(file, wanted, logged_as)
     format = LogFormat(**{**recording.format, "part": WHOLE}) if recording else LogFormat()
+    known = {header for signal in wanted.values() for header in signal.headers} | {*logged_as.values()}
+    found = _located(log, headers_of(log, format, known), wanted, logged_as)
     read = [Column(wanted[name].variable, header) for name, header in found.items()]
     held = [wanted[name].variable.name for name in names(case.inputs)]
     rows = read_log(log, sampling_time=case.sampling_time, format=format, columns=read, held=held)
@@ -127,9 +129,11 @@ def _check_columns(columns: Mapping[str, str], wanted: Mapping[str, _Wanted]) ->
         raise ConfigError([f'column "{name}" {what}; {did_you_mean(name, wanted)}' for name in unknown])
 
 
-def _located(file: CSVFile, wanted: Mapping[str, _Wanted], logged_as: Mapping[str, str]) -> dict[str, str]:
+def _located(
+    log: Path, titles: Sequence[str], wanted: Mapping[str, _Wanted], logged_as: Mapping[str, str]
+) -> dict[str, str]:
     """Return the header of each signal that the log has."""
-    has = {split_unit(header)[0] for header in file.header} | {*file.header}
+    has = {split_unit(title)[0] for title in titles} | {*titles}
     found, faults = dict[str, str](), list[str]()
     for name, signal in wanted.items():
         given = logged_as.get(name)
@@ -138,7 +142,7 @@ def _located(file: CSVFile, wanted: Mapping[str, _Wanted], logged_as: Mapping[st
         if header not in has and not signal.is_needed and given is None:
             continue
         try:
-            file.find(header, _HINT)
+            find_column(str(log), titles, header, _HINT)
             found[name] = header
         except DataError as error:
             faults += error.faults

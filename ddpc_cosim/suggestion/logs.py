@@ -6,10 +6,15 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.files.csv_files import PARQUET
+from ddpc_cosim.files.log_cells import encoding_of
 from ddpc_cosim.files.log_format import LogFormat
 from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.inspection.log_files import inspect_log, time_column_of
+from ddpc_cosim.signals.signals import Band, Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection, PlantSection, RecordingSection
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.suggestion.request import Request
@@ -114,6 +119,7 @@ class LoggedSystem:
             disturbances=roles["disturbance"],
             sampling_time=sampling_time,
             time_column=time_column_of(files[0]),
+            encoding=encoding_of(*(file for file in files if file.suffix != PARQUET)),
             resample="no" if sampling_time is None else "mean",
         )
         signals = roles["input"], roles["output"]
@@ -126,8 +132,11 @@ class LoggedSystem:
             return cls(replace(identification, **mended), *signals, said, in_closed_loop=closed)
 
     def request(self, asked: Request) -> Request:
-        """Return what is asked for: samples as far apart and signals going as far as in the logs."""
-        ranges = {name: self.ranges[name] for name in (*self._inputs, *self._outputs)}
+        """Return what is asked for: samples as far apart and inputs going as far as in the logs.
+
+        What each output reached is not asked for: the inputs may not hold all outputs there together.
+        """
+        ranges = {name: self.ranges[name] for name in self._inputs}
         return replace(
             asked,
             ranges={**ranges, **asked.ranges},
@@ -192,10 +201,25 @@ class LoggedSystem:
             },
         }
         return replace(
-            proposal.changed(recording=recording, seeds=_SEEDS, controllers=controllers, plant=plant),
+            proposal.changed(
+                recording=recording,
+                seeds=_SEEDS,
+                controllers=controllers,
+                plant=plant,
+                reference=self._reached(proposal),
+            ),
             comments=comments,
             origins=origins,
         )
+
+    def _reached(self, proposal: Proposal) -> dict[str, Reference | Band]:
+        """Return what is wanted of the outputs, no further than the log went, unless it is asked for."""
+        reference = dict(proposal.study.reference)
+        for name, wish in reference.items():
+            if isinstance(wish, Steps) and name not in proposal.asked.ranges:
+                values = np.clip(wish.values, *self.ranges[name]).tolist()
+                reference[name] = replace(wish, values=tuple(values))
+        return reference
 
     def _told(self, controller: ControllerSection) -> ControllerSection:
         """Return a controller that is told that its data were recorded in closed loop, if they were."""

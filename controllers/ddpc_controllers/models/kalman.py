@@ -12,7 +12,7 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 from abc import abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -108,6 +108,7 @@ class Observer:
         self.e, self.f = np.vstack([e, np.zeros((1, n_d))]), model.f
         self.state = np.zeros(n + size + 1)
         self.state[-1] = 1.0
+        self._followed = _Followed((np.empty((0, m)), np.empty((0, p)), np.empty((0, n_d))), self.state)
 
     def rest(self, u: FloatArray, y: FloatArray, d: FloatArray) -> None:
         """Suppose that the plant rests at u, y and d, shapes (m,), (p,), (n_d,), as nearly as it can."""
@@ -164,12 +165,34 @@ class Observer:
         return np.array(laws[1:]).T - laws[0][:, np.newaxis]
 
     def follow(self, recording: Recording) -> None:
-        """Run along a recording, in one piece, that begins at rest, up to its last measurement."""
-        self.rest(recording.u[0], recording.y[0], recording.d[0])
-        self.correct(recording.y[0], recording.d[0])
-        for k in range(1, len(recording)):
-            self.predict(recording.u[k - 1], recording.d[k - 1])
-            self.correct(recording.y[k], recording.d[k])
+        """Run along a recording, in one piece, that begins at rest, up to its last measurement.
+
+        Where it is a longer part of the log that was followed last, it goes on where that ended.
+        """
+        u, y, d = recording.u, recording.y, recording.d
+        first = self._followed.samples_of(u, y, d)
+        if first:
+            self.state[:] = self._followed.state
+        else:
+            self.rest(u[0], y[0], d[0])
+            self.correct(y[0], d[0])
+        for k in range(max(first, 1), len(recording)):
+            self.predict(u[k - 1], d[k - 1])
+            self.correct(y[k], d[k])
+        self._followed = _Followed((u, y, d), self.state.copy())
+
+
+class _Followed(NamedTuple):
+    """What an observer has followed, and its estimate then."""
+
+    signals: tuple[FloatArray, ...]
+    state: FloatArray
+
+    def samples_of(self, *signals: FloatArray) -> int:
+        """Return how many samples of other signals these are the first ones of; 0: they are others."""
+        count = len(self.signals[0])
+        alike = zip(self.signals, signals, strict=True)
+        return count if all(np.array_equal(seen, given[:count]) for seen, given in alike) else 0
 
 
 def _preferred(model: SampledModel) -> tuple[Disturbance, Disturbance]:
@@ -268,6 +291,10 @@ class ModelBased(ScaledSignals):
         self._judgement = self._judge(self._scales.loop)
         self._start_scaled()
 
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: the model and all that follows from it stay."""
+        self._begin(self._again(loop))
+
     def _judge(self, loop: Loop) -> Judgement:
         """Test the prediction of a model that is identified from the recording."""
         if not isinstance(self.model, Identified) or loop.recording is None:
@@ -307,14 +334,18 @@ class ModelBased(ScaledSignals):
         )
 
     def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:
-        """Set up the filter, and have it at the recording's end if the loop goes on there."""
+        """Set up the filter, and begin."""
         self._observer = Observer(
             self._model, disturbance, self.process_noise, disturbance_noise, self.measurement_noise
         )
+        self._disturbed = bool(loop.disturbances)
+        self._begin(loop)
+
+    def _begin(self, loop: Loop) -> None:
+        """Begin at rest, or where a running plant is, or the recording ends if the loop goes on there."""
         self._u: FloatArray = resting_input(loop)
         self._resting = True
         self._info: Mapping[str, float] = NO_INFO
-        self._disturbed = bool(loop.disturbances)
         if past := running_past(loop):
             self._observer.follow(past)
             self._u, self._resting = past.u[-1], False

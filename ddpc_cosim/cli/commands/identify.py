@@ -39,7 +39,7 @@ def identify(
         type=options.AT_LEAST_1,
         show_default=True,
     ),
-    time_column: str = option("time", "Header of the time; empty: there is none.", show_default=True),
+    time_column: str | None = option(None, "Header of the time; empty: there is none [what is called so]."),
     out: Path | None = option(None, "The FMU.", metavar="FILE.fmu"),
     fmi: options.FMIVersion = options.FMI_VERSION,
     platforms: str | None = options.PLATFORMS,
@@ -47,20 +47,27 @@ def identify(
 ) -> int:
     """Identify a plant from logs, say how sure it is, and write it as an FMU."""
     from ddpc_cosim.codec import read
+    from ddpc_cosim.files.csv_files import PARQUET
+    from ddpc_cosim.files.log_cells import encoding_of
     from ddpc_cosim.identification.export import export_identified
     from ddpc_cosim.identification.identification import Identification
     from ddpc_cosim.identification.specification import IdentifiedSpec
     from ddpc_cosim.identification.summary import identified_data, identified_lines
+    from ddpc_cosim.inspection.log_files import time_column_of
 
     if out is not None and out.suffix.lower() != ".fmu":
         raise ConfigError(f"--out {out}: must end in .fmu")
+    encoding = encoding_of(*(path for path in logs if path.suffix != PARQUET))
+    if encoding != "utf-8":
+        say(f"{', '.join(path.name for path in logs)}: not UTF-8 text, read as {encoding}", err=True)
     given = {
         "file": [str(path.absolute()) for path in logs],
         "disturbances": list(disturbances),
         "method": method,
         "order": order,
         "members": members,
-        "time_column": time_column,
+        "time_column": time_column_of(logs[0]) if time_column is None else time_column,
+        "encoding": encoding,
     }
     identification = read(
         Identification, given | ({} if sampling_time is None else {"sampling_time": sampling_time})

@@ -1,6 +1,8 @@
 """Logs as loggers and spreadsheets write them: read as told, or refused in few lines that name the mend."""
 
+import re
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from ddpc_cosim.codec import read
 from ddpc_cosim.files.csv_files import Column
 from ddpc_cosim.files.log_dates import read_dates
 from ddpc_cosim.files.logs import Log, LogFormat, read_log
+from ddpc_cosim.inspection.log_files import time_column_of
 
 SIGNALS = [
     *(Variable(name, unit="V") for name in NAMES[:2]),
@@ -192,6 +195,63 @@ def test_numbers_that_are_none(tmp_path: Path, row: str, fault: str) -> None:
     assert fault in raised.value.faults[0]
 
 
+@pytest.mark.parametrize(
+    ("text", "seconds", "values"),
+    [
+        ("sep=;\nZeit;x\n02.03.26 08:00;1,5\n02.03.26 08:01;2\n", [0, 60], [1.5, 2]),
+        ("Time,x\n02-Mar-26 08:00:00,1\n02-Mar-26 08:00:30,2\n", [0, 30], [1, 2]),
+        ("time;x\n31-Okt-2026 23:59;1\n01-Nov-2026 00:00;2\n", [0, 60], [1, 2]),
+        ("Time,x\n1772438400000,1\n1772438400500,2\n", [0, 0.5], [1, 2]),
+        ("Time,x\n1772438400000000,1\n1772438400500000,2\n", [0, 0.5], [1, 2]),
+        ("Time,x\n1772438400000000000,1\n1772438401000000000,2\n", [0, 1], [1, 2]),
+        ("time,x\n2026-03-02T08:00:00.123456789Z,1\n2026-03-02T08:00:01.123456789Z,2\n", [0, 1], [1, 2]),
+        ("time,x\n23:59:30,1\n00:00:00,2\n00:00:30.5,3\n", [0, 30, 60.5], [1, 2, 3]),
+        ("time,x\n11:59:30 PM,1\n12:00:00 AM,2\n", [0, 30], [1, 2]),
+        ("time,x\n0,ON\n1,OFF\n2,on\n", [0, 1, 2], [1, 0, 1]),
+        ("time;x;\n0;1;\n1;2;\n", [0, 1], [1, 2]),
+        ("time,x\n0,1\ntime,x\n1,2\n", [0, 1], [1, 2]),
+        ("time|x\n0|1\n1|2\n", [0, 1], [1, 2]),
+        (
+            "LabVIEW Measurement\t\nTime\t08:00:00\n***End_of_Header***\t\n\t\nChannels\t1\nTime\t08:00\n"
+            "***End_of_Header***\t\nX_Value\tx\tComment\n0.000000\t1\n0.100000\t2\n",
+            [0, 0.1],
+            [1, 2],
+        ),
+        ("time\tx\n0\t1\n1\t2\n".encode("utf-16-le"), [0, 1], [1, 2]),
+        ("time\tx\n0\t1\n1\t2\n".encode("utf-16-be"), [0, 1], [1, 2]),
+    ],
+)
+def test_what_loggers_write_otherwise(
+    text: str | bytes, seconds: list[float], values: list[float], tmp_path: Path
+) -> None:
+    header = time_column_of(written(tmp_path, text))
+    log = log_of(tmp_path, text, time_column=header)
+    assert (log.time - log.time[0]).tolist() == pytest.approx(seconds)
+    assert column(log.values) == values
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("time,x\n0,1\n1,2\nEnd of report\n", "line 4: 1 cells, .*delete what is not a row of the table"),
+        ('time,x\n0,"1,234.5"\n1,"1,235.5"\n', "thousands are separated there: export numbers without that"),
+        ("time,x\n0,1\n1,No Data\n2,3\n", '"No Data" is not a finite number; write missing = 1'),
+        (
+            "VarName;TimeString;VarValue\nu;02.03.2026 08:00:00;1\n",
+            r"a column per signal: .*table\.pivot\(index",
+        ),
+        ("entity_id,state,last_changed\nu,1,2026-03-02\n", r'columns="entity_id", values="state"'),
+        ("time,x\n23:59:30,1\n24:70:00,2\n", '"24:70:00" is not a time of the day'),
+        ("time,x\n02-Foo-26,1\n02-Foo-26,1\n", '"02-Foo-26" is not a date'),
+        ("time,x,y\n0,1,1\n1,OFF,2\n2,3,3\n", '"OFF" is not a finite number'),
+    ],
+)
+def test_what_loggers_write_otherwise_and_is_refused(text: str, fault: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=fault) as raised:
+        log_of(tmp_path, text)
+    assert len(raised.value.faults) <= 6
+
+
 def test_units_in_brackets_in_parentheses_or_below_the_header(tmp_path: Path) -> None:
     header = "time [min];a [\N{DEGREE SIGN}C];b (bar);flow;c (raw);q (m\N{SUPERSCRIPT THREE}/h)"
     log = log_of(tmp_path, f"{header}\nmin;;;l/min;;\n0;1;2;3;4;5\n1;1;2;3;4;5\n")
@@ -281,6 +341,50 @@ def test_a_parquet_file_with_missing_values_and_dates(tmp_path: Path) -> None:
     assert log.time.tolist() == [0.0, 0.5, 1.0, 1.5]
     assert column(log.values) == [1.0, 2.0, 3.0, 4.0]
     assert (log.names, log.units, log.texts) == (("x",), ("V",), ("n",))
+
+
+ZONED = pyarrow.timestamp("ns", "Europe/Berlin")
+
+
+@pytest.mark.parametrize(
+    ("times", "keys"),
+    [
+        (pyarrow.array([0, 1, 2, 3], pyarrow.int32()), {}),
+        (pyarrow.array([0.0, 1.0, 2.0, 3.0], pyarrow.float32()), {}),
+        (pyarrow.array([10**18 + i * 10**9 for i in range(4)], ZONED), {}),
+        (pyarrow.array([i * 10**3 for i in range(4)], pyarrow.timestamp("ms")), {"time_zone": "Asia/Tokyo"}),
+        (pyarrow.array(["2026-03-02 08:00:00", "2026-03-02 08:00:01", None, "2026-03-02 08:00:03"]), {}),
+        (pyarrow.array([0, 10**6, None, 3 * 10**6], pyarrow.timestamp("us")), {}),
+    ],
+    ids=["int", "float", "zoned", "local", "text", "null"],
+)
+def test_a_parquet_file_says_what_its_cells_say_as_text(
+    times: Any, keys: dict[str, Any], tmp_path: Path
+) -> None:
+    columns = {
+        "whole": pyarrow.array([1, 2, None, 4], pyarrow.int64()),
+        "on": pyarrow.array([True, False, False, True]),
+        "price": pyarrow.array([Decimal("1.25"), None, Decimal("2.50"), Decimal("3.75")]),
+        "word": pyarrow.array(["1.5", "Bad", "2.5", "3.5"]),
+        "limit": pyarrow.array([1.0, 2.0, np.inf, 3.0]),
+    }
+    table = pyarrow.table({"time": times, **columns})
+    pyarrow.parquet.write_table(table, tmp_path / "log.parquet")
+    cells = [["" if cell is None else str(cell) for cell in column.to_pylist()] for column in table.columns]
+    rows = [table.column_names, *zip(*cells, strict=True)]
+    written(tmp_path, "\n".join(",".join(row) for row in rows))
+    format = read(LogFormat, {"gaps": "split", **keys})
+    typed, text = (
+        read_log(tmp_path / f"log{end}", format=format, lenient=True) for end in (".parquet", ".csv")
+    )
+    assert typed.values.tolist() == text.values.tolist()
+    assert (typed.time.tolist(), typed.begin) == (text.time.tolist(), text.begin)
+    with pytest.raises(DataError) as of_text:
+        read_log(tmp_path / "log.csv", format=LogFormat())
+    with pytest.raises(DataError) as of_types:
+        read_log(tmp_path / "log.parquet", format=LogFormat())
+    as_text = [re.sub(r"line (\d+)", lambda at: f"line {int(at[1]) - 1}", f) for f in of_text.value.faults]
+    assert [*of_types.value.faults] == [fault.replace("log.csv", "log.parquet") for fault in as_text]
 
 
 @settings(max_examples=80, deadline=None)

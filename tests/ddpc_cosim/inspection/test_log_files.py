@@ -9,6 +9,7 @@ from click.testing import CliRunner, Result
 
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.inspection import logs
+from ddpc_cosim.suggestion import suggest_study
 
 from .test_logs import simulated
 
@@ -93,3 +94,28 @@ def test_options_of_models_are_not_for_logs(tmp_path: Path) -> None:
     result = inspected(written(tmp_path / "log.csv"), "--strict")
     assert result.exit_code == 2
     assert "--strict: not for a log" in result.stderr
+
+
+def test_a_spreadsheet_saved_as_cp1252_goes_through_inspect_identify_and_init(tmp_path: Path) -> None:
+    """Title rows, semicolons, decimal commas, date and clock apart, and letters that are not ASCII."""
+    u, y = simulated(1, samples=400)
+    lines = ["Anlage;Tübingen", "", "Datum;Uhrzeit;Stellgröße [%];Vorlauf (°C)"]
+    for k, (valve, level) in enumerate(zip(50.0 + 10.0 * u[:, 0], 40.0 + y[:, 0], strict=True)):
+        clock = f"02.03.2026;{8 + k // 60:02d}:{k % 60:02d}:00"
+        lines.append(f"{clock};{valve:.3f};{level:.4f}".replace(".", ",").replace("02,03,", "02.03."))
+    path = tmp_path / "log.csv"
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
+    data = json.loads(inspected(path, "--json").stdout)
+    columns = {column["name"]: (column["role"], column["unit"]) for column in data["columns"]}
+    assert columns == {"Stellgröße": ("input", "%"), "Vorlauf": ("output", "°C")}
+    assert (data["sampling"]["sampling_time"], data["sampling"]["rows"]) == (60.0, 400)
+    assert any("not UTF-8 text" in note for note in data["notes"])
+    how = ("--input", "Stellgröße", "--output", "Vorlauf", "--method", "arx", "--members", "2", "--json")
+    done = CliRunner().invoke(main, ["identify", str(path), *how])
+    assert "log.csv: not UTF-8 text, read as cp1252" in done.stderr
+    gain = json.loads(done.stdout)["gains"]["Vorlauf"]["Stellgröße"]["value"]
+    (pair,) = data["relations"]["pairs"]
+    assert pair["low"] <= gain <= pair["high"]
+    identified = suggest_study(path, trial=False).study.plant.identified
+    assert identified is not None
+    assert (identified.time_column, identified.encoding) == (["Datum", "Uhrzeit"], "cp1252")

@@ -169,3 +169,73 @@ def test_the_result_is_told_in_rows(study: Path, log: LogOf) -> None:
     frame = result.frame()
     assert {"log force [N]", "force [N]", "place [m]", "status"} <= {*frame.columns}
     assert [row.header for row in result.table().rows] == ["force"]
+
+
+SURROUNDED = """
+
+class WindyMass(Mass):
+    inputs = (*Mass.inputs, Variable("wind", "m/s"))
+
+    def step(self, u, h):
+        return super().step(u[:1], h)
+
+class Watching(Controller):
+    horizon = 2
+
+    def start(self, loop):
+        self.past = loop.past
+
+    def step(self, sample):
+        seen = {
+            "wind": sample.disturbance[0],
+            "wind_before": self.past.d[-1, 0] if self.past else np.nan,
+            "wind_ahead": sample.forecast[0, 0],
+            "low": sample.band_now[0, 0],
+            "high": sample.band_now[0, 1],
+            "high_ahead": sample.band[0, 0, 1],
+            "price": sample.price[0, 0],
+            "price_ahead": sample.price[1, 0],
+        }
+        return Action(np.zeros(1), info=seen)
+"""
+
+
+@pytest.mark.parametrize("from_log", [True, False])
+def test_disturbances_bands_and_prices_are_those_of_the_log_or_else_of_the_study(
+    from_log: bool, tmp_path: Path
+) -> None:
+    code = PLANT.replace("import Controller", "import Action, Controller") + SURROUNDED
+    (tmp_path / "mine.py").write_text(code, encoding="utf-8")
+    rising = {"kind": "steps", "times": [0.0, 0.25], "values": [1.0, 2.0]}
+    study = study_text(
+        plant={"name": "mine.py:WindyMass", "inputs": ["force"], "outputs": ["place"]},
+        reference={"place": {"band": {"lower": 0.5, "upper": rising}}},
+        controllers={"watching": "mine.py:Watching"},
+        loop={"preview": 2},
+        disturbances={"wind": {"signal": {"kind": "constant", "value": 9.0}, "known": "perfect"}},
+        prices={"power": {"signal": "force", "price": rising, "unit": "EUR/N.s"}},
+    )
+    k = np.arange(6)
+    heads = ["time", "force", "place", "wind [km/h]"]
+    columns = [0.1 * k, 0.0 * k, 0.0 * k, 3.6 * k]
+    if from_log:
+        heads += ["lower place [cm]", "upper place", "price power"]
+        columns += [10.0 * k, 1.0 + k, 3.0 + k]
+    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(heads), *rows]), encoding="utf-8")
+    trace = replay(tmp_path / "log.csv", write(tmp_path, study), "watching").trace
+    k = np.arange(1, 6)
+    stepped = np.where(k >= 3, 2.0, 1.0)
+    expected = {
+        "wind": k,
+        "wind_before": k - 1,
+        "wind_ahead": k + 1,
+        "low": 0.1 * k if from_log else 0.5,
+        "high": 1.0 + k if from_log else stepped,
+        "high_ahead": 2.0 + k if from_log else np.where(k >= 2, 2.0, 1.0),
+        "price": 3.0 + k if from_log else stepped,
+        "price_ahead": 4.0 + k if from_log else np.where(k >= 2, 2.0, 1.0),
+    }
+    for name, values in expected.items():
+        wanted = np.broadcast_to(values, 5)[:4]  # beyond the log's end its last row holds
+        np.testing.assert_allclose(trace.info[name][:4], wanted, err_msg=name)

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from ddpc_cosim import ConfigError
+from ddpc_cosim import ConfigError, FloatArray
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.suggestion import Proposal, suggest_study
 
 LOG = Path(__file__).parents[3] / "docs" / "examples" / "tanks-monday.csv"
@@ -34,6 +37,32 @@ def test_a_messy_log_is_mended_and_the_study_says_how(log: Path) -> None:
     assert (identified.part, recording.part) == ([0.5, 1.0], [0.0, 0.5])
     assert any("duplicate row dropped" in said for said in proposal.comments["plant"])
     assert {*proposal.origins.values()} == {"the log's range"}
+
+
+@pytest.mark.slow
+def test_the_inputs_can_hold_all_setpoints_together_within_the_log(log: Path) -> None:
+    """By the steady states of the identified model, with the inputs found by a bounded least-squares fit."""
+    study = suggest_study(log, trial=False).study
+    spec = PlantSpec.of(study.plant, Path()).built()
+    assert spec.identified is not None
+    assert spec.identified.ensemble is not None
+    ensemble = spec.identified.ensemble
+    model = ensemble.models[0]
+    low, high = np.array([ensemble.ranges[name] for name in study.plant.inputs]).T
+    limits = np.array([ensemble.ranges[name] for name in study.plant.outputs])
+    references = [study.reference[name] for name in study.plant.outputs]
+    times = sorted({time for reference in references for time in reference.times})
+    assert len(times) > 2
+    for time in times:
+        wanted = np.array([float(reference.at(time)) for reference in references])
+        assert (limits[:, 0] <= wanted).all()
+        assert (wanted <= limits[:, 1]).all()
+
+        def off(u: FloatArray, wanted: FloatArray = wanted) -> FloatArray:
+            return (model.output(model.rest(u, np.empty(0))) - wanted) / np.ptp(limits, axis=1)
+
+        held = least_squares(off, (low + high) / 2, bounds=(low, high))
+        assert np.abs(held.fun).max() < 0.02, (time, wanted)
 
 
 def test_a_log_beside_an_fmu_is_refused(log: Path) -> None:
