@@ -14,7 +14,7 @@ from ddpc_cosim.codec import read, write
 from ddpc_cosim.description import PlantDescription, describe
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.identification.identification import Identification, LoggedPlant, read_logged_plant
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.identification.plant import IdentifiedPlant
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.variables import FloatArray, Variable, names, with_start
@@ -34,7 +34,7 @@ class Ensemble:
     ----------
     inputs, outputs : tuple of Variable
         The signals, disturbances after the inputs that are driven.
-    models : tuple of InnovationModel
+    models : tuple of PlantModel
         The model of all data, and those of data that might have been recorded as well.
     states : tuple of array, shape (n,)
         Where each of them is at the end of the log.
@@ -54,7 +54,7 @@ class Ensemble:
 
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
-    models: tuple[InnovationModel, ...]
+    models: tuple[PlantModel, ...]
     states: tuple[FloatArray, ...]
     ranges: Mapping[str, tuple[float, float]]
     facts: dict[str, str]

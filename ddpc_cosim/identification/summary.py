@@ -8,7 +8,7 @@ import numpy as np
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.identification.bootstrap import gain_intervals, gains
 from ddpc_cosim.identification.candidates import HORIZON
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.identification.specification import IdentifiedSpec
 from ddpc_cosim.variables import names
 
@@ -87,9 +87,9 @@ def identified_lines(spec: IdentifiedSpec, data: dict[str, Any]) -> Iterator[str
         yield f"{name} was recorded from {low:.4g} to {_number(high, units[name])}: beyond, nothing is known"
 
 
-def _time_constant(model: InnovationModel) -> float:
+def _time_constant(model: PlantModel) -> float:
     """Return that of the slowest pole [s]; infinite of one that does not decay."""
-    radius = float(np.abs(np.linalg.eigvals(model.a)).max())
+    radius = float(np.abs(np.linalg.eigvals(model.linear_part()[0])).max())
     return np.inf if radius >= 1.0 else -model.sampling_time / np.log(max(radius, np.finfo(float).tiny))
 
 
