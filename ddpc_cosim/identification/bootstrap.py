@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import DataError
@@ -28,6 +29,8 @@ _FEW_STEPS = 5  # from the model of the recording to that of one like it
 _TRIES = 3  # of a Koopman model that does not run away
 _GROWTH = 10.0  # over the longest stretch, above which errors of long ago decide everything
 _INTEGRATES = 1e-4
+_FORGOTTEN = 0.1  # after a sample: poles below are of no account
+_APART = 0.9
 _NEGLIGIBLE = _ROUNDING = 1e-9
 
 
@@ -153,3 +156,40 @@ def gain_intervals(models: Sequence[PlantModel], level: float = 0.9) -> tuple[Fl
     every = np.array([gains(model) for model in models])
     low, high = np.quantile(every, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
     return low, high
+
+
+def matched_poles(
+    models: Sequence[PlantModel], most: int
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the slowest poles of the first model, and those of every model that belong to them.
+
+    Of a complex pair it is the one of positive angle. Each pole of a model belongs to one of the first's, so
+    that all together are as near as can be.
+
+    Returns
+    -------
+    poles : complex array, shape (at most ``most``,)
+        The slowest first.
+    others : complex array, shape (models, poles)
+        NaN for a pole that is not told apart: whose counterpart is nearer to another pole of the first model,
+        or makes a complex pair of a real pole, in more than a tenth of the models.
+    """
+    from scipy.optimize import linear_sum_assignment  # most commands do without
+
+    every = [np.linalg.eigvals(model.linear_part()[0]) for model in models]
+    first = every[0]
+    # Dead times are poles at zero, which are known.
+    shown = np.flatnonzero((first.imag >= 0.0) & (np.abs(first) > _FORGOTTEN))
+    shown = shown[np.argsort(-np.abs(first[shown]))][:most]
+    others = np.empty((len(models), len(shown)), dtype=np.complex128)
+    apart = np.empty(others.shape, dtype=bool)
+    for i, poles in enumerate(every):
+        distances = np.abs(first[:, np.newaxis] - poles)
+        partner = np.empty(len(first), dtype=int)
+        rows, columns = linear_sum_assignment(distances)
+        partner[rows] = columns
+        others[i] = poles[partner[shown]]
+        nearest = np.abs(first[:, np.newaxis] - others[i]).argmin(axis=0)
+        apart[i] = (nearest == shown) & ((others[i].imag == 0.0) == (first[shown].imag == 0.0))
+    others[:, apart.mean(axis=0) < _APART] = np.nan
+    return np.asarray(first[shown], dtype=np.complex128), others
