@@ -41,6 +41,7 @@ from .loop.plotting import Picture as Picture
 from .loop.rollouts import rollout as rollout
 from .loop.trace import Outcome as Outcome, Trace as Trace
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
+from .monomials import Monomials as Monomials
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .plugins import study_folder as study_folder
 from .replaying import Difference as Difference, Replay as Replay, replay as replay

@@ -9,26 +9,34 @@ fixed-design bootstrap), and the model follows to first order.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
+from ddpc_cosim.errors import DataError
 from ddpc_cosim.identification.candidates import Candidate, most_moving
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel, rows_of
+from ddpc_cosim.identification.koopman import MOST_ROWS, KoopmanFit, LiftedModel
 from ddpc_cosim.identification.prediction_error import refine
 from ddpc_cosim.identification.predictor import Predictor, Samples, scan
 from ddpc_cosim.identification.stability import projected
 from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.windows import window_starts
 
 _FEW_STEPS = 5  # from the model of the recording to that of one like it
+_TRIES = 3  # of a Koopman model that does not run away
 _GROWTH = 10.0  # over the longest stretch, above which errors of long ago decide everything
 _INTEGRATES = 1e-4
+_FORGOTTEN = 0.1  # after a sample: poles below are of no account
+_APART = 0.9
 _NEGLIGIBLE = _ROUNDING = 1e-9
 
 
 def ensemble(
     recording: Recording, candidate: Candidate, members: int, rng: np.random.Generator
-) -> tuple[InnovationModel, ...]:
+) -> tuple[PlantModel, ...]:
     """Return models of data that might have been recorded as well; see the module.
 
     Parameters
@@ -42,26 +50,20 @@ def ensemble(
     rng : numpy.random.Generator
         Draws the errors: of each stretch of a mosaic from those of the stretch.
     """
-    fit = candidate.fit
-    samples = fit.samples(most_moving(recording))
+    fit, recording = candidate.fit, most_moving(recording)
+    if isinstance(fit, KoopmanFit):
+        return _lifted_ensemble(fit, rows_of(recording, slice(MOST_ROWS)), members, rng)
+    samples = fit.samples(recording)
     predictor = fit.predictor(samples)
-    errors = predictor.errors(samples)
-    spread = np.sqrt(len(samples) / max(len(samples) - fit.spent(samples), 1.0))
-    errors = spread * (errors - errors.mean(axis=0))
-    stretches = samples.stretches
-    longest = max(rows.stop - rows.start for rows in stretches)
+    errors = _centred(predictor.errors(samples), fit.spent(samples))
+    longest = max(rows.stop - rows.start for rows in samples.stretches)
     radius = np.abs(np.linalg.eigvals(predictor.plant())).max()
     follows = longest * np.log(max(radius, 1e-9)) < np.log(_GROWTH)
     linearised = None if follows else fit.linearised(predictor, samples)
-    stable = np.abs(np.linalg.eigvals(candidate.model.a)).max() <= 1.0 + _ROUNDING
-    models = list[InnovationModel]()
+    stable = np.abs(np.linalg.eigvals(candidate.model.linear_part()[0])).max() <= 1.0 + _ROUNDING
+    models = list[PlantModel]()
     for _ in range(members):
-        drawn = np.concatenate(
-            [
-                errors[rng.integers(rows.start, rows.stop, rows.stop - rows.start)]
-                for rows in samples.stretches
-            ]
-        )
+        drawn = _drawn(errors, samples.stretches, rng)
         if linearised:
             member = linearised(drawn)
         else:
@@ -70,6 +72,54 @@ def ensemble(
             member = refine(predictor, again, _FEW_STEPS) if refined else fit.predictor(again)
         models.append(fit.model(projected(member) if stable else member, samples))
     return tuple(models)
+
+
+def _lifted_ensemble(
+    fit: KoopmanFit, recording: Recording, members: int, rng: np.random.Generator
+) -> tuple[LiftedModel, ...]:
+    """Return Koopman models of data that might have been recorded as well, none of which runs away.
+
+    Raises
+    ------
+    DataError
+        Most of them do.
+    """
+    model = fit(recording)
+    # The errors of the first rows are those of an initial state that was made for them.
+    known = window_starts(len(recording), fit.order + 1, recording.seams) + fit.order
+    errors = _centred(model.one_step_errors(recording)[known], len(fit.lift.factors))
+    starts = [model.first_state(piece) for piece in recording.pieces]
+    models = list[LiftedModel]()
+    for _ in range(_TRIES * members):
+        if len(models) == members:
+            break
+        y = [
+            model.simulate(piece.u, piece.d, errors[rng.integers(0, len(errors), len(piece))], start)
+            for piece, start in zip(recording.pieces, starts, strict=True)
+        ]
+        again = replace(recording, y=np.vstack(y), measured=np.vstack(y))
+        member = fit(again)
+        if not member.runs_away(again):
+            models.append(member)
+    if len(models) < members:
+        raise DataError(
+            "most Koopman models of data like these run away when they are simulated: log more, or take "
+            "another method"
+        )
+    return tuple(models)
+
+
+def _centred(errors: FloatArray, spent: float) -> FloatArray:
+    """Return errors off their mean, and as large as before coefficients have explained some of them."""
+    spread = np.sqrt(len(errors) / max(len(errors) - spent, 1.0))
+    return np.asarray(spread * (errors - errors.mean(axis=0)))
+
+
+def _drawn(errors: FloatArray, stretches: Sequence[slice], rng: np.random.Generator) -> FloatArray:
+    """Return errors with replacement, of each stretch from those of the stretch."""
+    return np.concatenate(
+        [errors[rng.integers(rows.start, rows.stop, rows.stop - rows.start)] for rows in stretches]
+    )
 
 
 def _outputs(predictor: Predictor, samples: Samples, errors: FloatArray) -> FloatArray:
@@ -90,18 +140,56 @@ def _outputs(predictor: Predictor, samples: Samples, errors: FloatArray) -> Floa
     return states @ predictor.c.T + predictor.y_0 + errors
 
 
-def gains(model: InnovationModel) -> FloatArray:
+def gains(model: PlantModel) -> FloatArray:
     """Return by how much outputs change in the end per unit of an input, shape (p, m); NaN if it integrates.
 
-    For a model with static nonlinearities: those of its linear part.
+    For a model with nonlinearities: those of its linear part.
     """
-    if np.abs(np.linalg.eigvals(model.a) - 1.0).min() < _INTEGRATES:
-        return np.full((len(model.c), model.b.shape[1]), np.nan)
-    return np.asarray(model.c @ np.linalg.solve(np.eye(model.order) - model.a, model.b))
+    a, b, c = model.linear_part()
+    if np.abs(np.linalg.eigvals(a) - 1.0).min() < _INTEGRATES:
+        return np.full((len(c), b.shape[1]), np.nan)
+    return np.asarray(c @ np.linalg.solve(np.eye(model.order) - a, b))
 
 
-def gain_intervals(models: Sequence[InnovationModel], level: float = 0.9) -> tuple[FloatArray, FloatArray]:
+def gain_intervals(models: Sequence[PlantModel], level: float = 0.9) -> tuple[FloatArray, FloatArray]:
     """Return between what gains lie for this share of an ensemble: low and high, shape (p, m) each."""
     every = np.array([gains(model) for model in models])
     low, high = np.quantile(every, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
     return low, high
+
+
+def matched_poles(
+    models: Sequence[PlantModel], most: int
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the slowest poles of the first model, and those of every model that belong to them.
+
+    Of a complex pair it is the one of positive angle. Each pole of a model belongs to one of the first's, so
+    that all together are as near as can be.
+
+    Returns
+    -------
+    poles : complex array, shape (at most ``most``,)
+        The slowest first.
+    others : complex array, shape (models, poles)
+        NaN for a pole that is not told apart: whose counterpart is nearer to another pole of the first model,
+        or makes a complex pair of a real pole, in more than a tenth of the models.
+    """
+    from scipy.optimize import linear_sum_assignment  # most commands do without
+
+    every = [np.linalg.eigvals(model.linear_part()[0]) for model in models]
+    first = every[0]
+    # Dead times are poles at zero, which are known.
+    shown = np.flatnonzero((first.imag >= 0.0) & (np.abs(first) > _FORGOTTEN))
+    shown = shown[np.argsort(-np.abs(first[shown]))][:most]
+    others = np.empty((len(models), len(shown)), dtype=np.complex128)
+    apart = np.empty(others.shape, dtype=bool)
+    for i, poles in enumerate(every):
+        distances = np.abs(first[:, np.newaxis] - poles)
+        partner = np.empty(len(first), dtype=int)
+        rows, columns = linear_sum_assignment(distances)
+        partner[rows] = columns
+        others[i] = poles[partner[shown]]
+        nearest = np.abs(first[:, np.newaxis] - others[i]).argmin(axis=0)
+        apart[i] = (nearest == shown) & ((others[i].imag == 0.0) == (first[shown].imag == 0.0))
+    others[:, apart.mean(axis=0) < _APART] = np.nan
+    return np.asarray(first[shown], dtype=np.complex128), others

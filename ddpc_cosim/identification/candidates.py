@@ -16,7 +16,8 @@ from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.identification.arx import choose_delays, choose_lags, most_lags, schwarz
 from ddpc_cosim.identification.fits import METHODS, MOST_STATES, Fit, sequence
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel, rows_of
+from ddpc_cosim.identification.koopman import MOST_ROWS as MOST_LIFTED, KoopmanFit, koopman_models
 from ddpc_cosim.identification.nonlinear import input_map_of, output_map_of
 from ddpc_cosim.identification.prediction_error import refine, used_rows
 from ddpc_cosim.identification.predictor import Predictor, Samples
@@ -31,7 +32,7 @@ _MOST_JUDGED = 3000  # rows of the held-out stretch
 _SHORTLIST = 3
 _BLOCKS = 8
 _EXACT = 1e-9
-_NONLINEAR = 2.0  # standard errors
+_NEEDED = (1.0, 2.0, 3.5)  # standard errors, by kind; the last: 99.5 % of Student's t over eight blocks
 _MOST_MAPPED = 3000  # rows
 MOST_ROWS = 10_000
 """The most rows that models are made of: the block in which the inputs move most."""
@@ -62,8 +63,8 @@ class Candidate:
         What a reader should know of the model: poles that were moved.
     """
 
-    fit: Fit
-    model: InnovationModel
+    fit: Fit | KoopmanFit
+    model: PlantModel
     errors: FloatArray
     held_out: FloatArray
     by_block: FloatArray
@@ -83,7 +84,12 @@ class Candidate:
     @property
     def is_nonlinear(self) -> bool:
         """Whether it has nonlinearities."""
-        return self.fit.input_map is not None or self.fit.output_map is not None
+        return self.kind > 0
+
+    @property
+    def kind(self) -> int:
+        """What it is: linear, linear between nonlinearities of each signal, or with products of signals."""
+        return 2 if isinstance(self.fit, KoopmanFit) else int(self.fit.is_nonlinear)
 
     @property
     def error(self) -> float:
@@ -127,7 +133,7 @@ def candidates(
     if method not in (*METHODS, "auto"):
         raise ConfigError(f'method: "{method}" is unknown; {did_you_mean(method, ["auto", *METHODS])}')
     first, rest = parted(recording)
-    rest = _part(rest, 0, min(_MOST_JUDGED, len(rest)))
+    rest = rows_of(rest, slice(_MOST_JUDGED))
     if not rest.y.std(axis=0).all():
         raise DataError(
             "an output never moves on the last quarter of the data, so no model can be judged there"
@@ -136,36 +142,45 @@ def candidates(
     samples = Samples.of(first)
     samples = Samples.of(first, choose_delays(samples))
     tried: dict[str, list[tuple[Fit, Predictor, Samples]]] = {}
-    for name in METHODS if method == "auto" else [method]:
-        if name == "hammerstein-wiener":
-            linear = tried.get("armax") or _linear_fits("armax", samples, order)
-            tried[name] = _nonlinear_fits(first, linear, wanted=method != "auto")
-        else:
-            tried[name] = _linear_fits(name, samples, order)
     found = list[Candidate]()
-    for fits in tried.values():
-        judged = [
-            _judged(fit, fit.model(fit.settled(predictor, seen)[0], seen), rest, horizon)
-            for fit, predictor, seen in fits
-        ]
+    for name in METHODS if method == "auto" else [method]:
+        models: Sequence[tuple[Fit | KoopmanFit, PlantModel]]
+        if name == "koopman":
+            models = koopman_models(first, samples.delays, order, wanted=method != "auto")
+        else:
+            if name == "hammerstein-wiener":
+                linear = tried.get("armax") or _linear_fits("armax", samples, order)
+                tried[name] = _nonlinear_fits(first, linear, wanted=method != "auto")
+            else:
+                tried[name] = _linear_fits(name, samples, order)
+            models = [
+                (fit, fit.model(fit.settled(predictor, seen)[0], seen))
+                for fit, predictor, seen in tried[name]
+            ]
+        judged = [_judged(fit, model, rest, horizon) for fit, model in models]
         found += ranked(judged)[:1] if judged else []
+    if not found:
+        raise DataError(
+            "every Koopman model of the data runs away when it is simulated: log more, or take another method"
+        )
     return ranked([_of_all(candidate, recording) for candidate in found])
 
 
 def ranked(judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """Return candidates by their error; of those as good as the best but for chance, the smallest first.
 
-    Nonlinearities have to be better by two standard errors.
+    Nonlinearities have to be better than what has none by two standard errors, and products of signals better
+    than both by 3.5: there are many of them, of which one fits the data that happen to be held out.
     """
     by_error = sorted(judged, key=lambda candidate: candidate.error)
     best = by_error[0]
 
     def place(candidate: Candidate) -> tuple[bool, float, float]:
         excess, chance = candidate.excess(best)
-        needed = 1.0 if candidate.is_nonlinear or not best.is_nonlinear else _NONLINEAR
+        needed = _NEEDED[best.kind if candidate.kind < best.kind else 0]
         if excess > needed * chance:
             return True, candidate.error, 0.0
-        return False, candidate.is_nonlinear, candidate.model.order
+        return False, candidate.kind, candidate.model.order
 
     return tuple(sorted(by_error, key=place))
 
@@ -200,7 +215,7 @@ def _nonlinear_fits(
     """
     criterion = [_criterion(fit, predictor, samples) for fit, predictor, samples in linear]
     chosen, start, _ = linear[int(np.argmin(criterion))]
-    recording = _part(recording, 0, min(_MOST_MAPPED, len(recording)))
+    recording = rows_of(recording, slice(_MOST_MAPPED))
     fit = replace(chosen, method="hammerstein-wiener")
     samples = fit.samples(recording)
     predictor = refine(start, samples)
@@ -228,7 +243,7 @@ def _criterion(fit: Fit, predictor: Predictor, samples: Samples) -> float:
     return schwarz(predictor.errors(samples), len(samples), coefficients)
 
 
-def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> Candidate:
+def _judged(fit: Fit | KoopmanFit, model: PlantModel, rest: Recording, horizon: int) -> Candidate:
     squares = squares_ahead(model, rest, horizon)
     size = rest.y.std(axis=0)
     errors = np.sqrt(squares.mean(axis=0))
@@ -240,8 +255,10 @@ def _judged(fit: Fit, model: InnovationModel, rest: Recording, horizon: int) -> 
 
 def _of_all(candidate: Candidate, recording: Recording) -> Candidate:
     """Return a candidate with its model of all data."""
-    fit = candidate.fit
-    samples = fit.samples(most_moving(recording))
+    fit, recording = candidate.fit, most_moving(recording)
+    if isinstance(fit, KoopmanFit):
+        return replace(candidate, model=fit(recording), rows=min(len(recording), MOST_LIFTED))
+    samples = fit.samples(recording)
     rows = len(samples)
     if fit.method in ("armax", "hammerstein-wiener"):
         used = used_rows(samples, fit.order)
@@ -250,7 +267,7 @@ def _of_all(candidate: Candidate, recording: Recording) -> Candidate:
     return replace(candidate, model=fit.model(predictor, samples), rows=rows, notes=notes)
 
 
-def squares_ahead(model: InnovationModel, recording: Recording, horizon: int) -> FloatArray:
+def squares_ahead(model: PlantModel, recording: Recording, horizon: int) -> FloatArray:
     """Return squared errors of predictions, shape (instants, horizon, p).
 
     Parameters
@@ -271,7 +288,7 @@ def squares_ahead(model: InnovationModel, recording: Recording, horizon: int) ->
             errors = list[FloatArray]()
             for i in range(horizon):
                 errors.append(piece.y[i : i + instants] - model.output(states))
-                states = states @ model.a.T + driven[i : i + instants]
+                states = model.onward(states, driven[i : i + instants])
             squares.append(np.square(np.stack(errors, axis=1)))
     return np.concatenate(squares)
 
@@ -279,7 +296,7 @@ def squares_ahead(model: InnovationModel, recording: Recording, horizon: int) ->
 def parted(recording: Recording) -> tuple[Recording, Recording]:
     """Return the first part of a recording, and the stretch that is held out."""
     seen = len(recording) - max(round(HELD_OUT * len(recording)), 1)
-    return _part(recording, 0, seen), _part(recording, seen, len(recording))
+    return rows_of(recording, slice(seen)), rows_of(recording, slice(seen, None))
 
 
 def most_moving(recording: Recording) -> Recording:
@@ -291,16 +308,4 @@ def most_moving(recording: Recording) -> Recording:
     moves = np.square(np.diff(signals, axis=0) / np.where(size > 0.0, size, 1.0)).sum(axis=1)
     moved = np.concatenate([[0.0], np.cumsum(moves)])
     first = int(np.argmax(moved[MOST_ROWS - 1 :] - moved[: len(moved) - MOST_ROWS + 1]))
-    return _part(recording, first, first + MOST_ROWS)
-
-
-def _part(recording: Recording, first: int, last: int) -> Recording:
-    rows = slice(first, last)
-    return Recording(
-        recording.u[rows],
-        recording.y[rows],
-        recording.measured[rows],
-        recording.sampling_time,
-        tuple(seam - first for seam in recording.seams if first < seam < last),
-        recording.d[rows],
-    )
+    return rows_of(recording, slice(first, first + MOST_ROWS))

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.identification.innovation import InnovationModel, StaticMap
+from ddpc_cosim.identification.innovation import InnovationModel, PlantModel, StaticMap
+from ddpc_cosim.identification.koopman import LiftedModel
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.export import Progress, export_block
 from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportError, ExportUsageError, identifier
 
-_HEADER = """/* A sampled plant: x+ = A x + drive, with the state in `memory`. */
+_HEADER = """/* A sampled plant, with its state in `memory`. */
 #ifndef CONTROLLER_H
 #define CONTROLLER_H
 
@@ -81,10 +82,64 @@ void controller_outputs(const ControllerState *state, double u[])
     }}
 }}
 """
+_LIFTED_SOURCE = """/* {words} */
+#include "controller.h"
+
+#include <string.h>
+
+enum {{
+    N_STATES = {states},
+    N_INPUTS = {inputs},
+    N_OUTPUTS = {outputs},
+    N_PAST_OUTPUTS = {past_outputs}, /* of the state; inputs follow */
+    N_USED = {used},
+    N_MONOMIALS = {monomials},
+    DEGREE = {degree}
+}};
+
+{tables}
+void controller_start(ControllerState *state)
+{{
+    memset(state, 0, sizeof *state);
+    memcpy(state->memory, start, sizeof start);
+}}
+
+/* Go on to the next instant, driven by y. */
+unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])
+{{
+    double now[N_OUTPUTS], *inputs = state->memory + N_PAST_OUTPUTS;
+    (void)r;
+    (void)u;
+    controller_outputs(state, now);
+    memmove(inputs + N_INPUTS, inputs, (N_STATES - N_PAST_OUTPUTS - N_INPUTS) * sizeof *inputs);
+    memcpy(inputs, y, N_INPUTS * sizeof *y);
+    memmove(state->memory + N_OUTPUTS, state->memory, (N_PAST_OUTPUTS - N_OUTPUTS) * sizeof *now);
+    memcpy(state->memory, now, sizeof now);
+    return 0;
+}}
+
+void controller_outputs(const ControllerState *state, double u[])
+{{
+    double seen[N_USED + 1];
+    for (size_t i = 0; i < N_USED; ++i) {{
+        double value = state->memory[used[i]];
+        if (value < low[i]) value = low[i];
+        if (value > high[i]) value = high[i];
+        seen[i] = (value - means[i]) / sizes[i];
+    }}
+    seen[N_USED] = 1.0;
+    memset(u, 0, N_OUTPUTS * sizeof *u);
+    for (size_t j = 0; j < N_MONOMIALS; ++j) {{
+        double product = 1.0;
+        for (size_t i = 0; i < DEGREE; ++i) product *= seen[factors[j * DEGREE + i]];
+        for (size_t i = 0; i < N_OUTPUTS; ++i) u[i] += w[i * N_MONOMIALS + j] * product;
+    }}
+}}
+"""
 
 
 def export_identified(
-    model: InnovationModel,
+    model: PlantModel,
     inputs: Sequence[Variable],
     outputs: Sequence[Variable],
     path: str | Path,
@@ -102,7 +157,7 @@ def export_identified(
 
     Parameters
     ----------
-    model : InnovationModel
+    model : PlantModel
         The model.
     inputs, outputs : sequence of Variable
         Its inputs, disturbances after those that are driven, and outputs.
@@ -140,8 +195,50 @@ def export_identified(
         raise CosimError(str(error)) from error
 
 
-def _sources(model: InnovationModel, start: FloatArray, words: str) -> dict[str, str]:
+def _sources(model: PlantModel, start: FloatArray, words: str) -> dict[str, str]:
     """Return the C files of a model that starts at rest at inputs, disturbances after those driven."""
+    m = len(model.u_0)
+    x_0 = model.rest(start[:m], start[m:])
+    plain = words.replace("*/", "")
+    if isinstance(model, LiftedModel):
+        source = _lifted_source(model, x_0, plain)
+    else:
+        assert isinstance(model, InnovationModel)
+        source = _linear_source(model, x_0, plain)
+    return {"controller.h": _HEADER.format(states=model.order), "plant.c": source}
+
+
+def _lifted_source(model: LiftedModel, x_0: FloatArray, words: str) -> str:
+    q = len(model.used)
+    degree = max(map(len, model.lift.factors))
+    # Those of lower degree are products with the 1 behind what is lifted.
+    factors = [[*term, *[q] * (degree - len(term))] for term in model.lift.factors]
+    tables = {
+        "w": model.w.ravel(),
+        "means": model.means,
+        "sizes": model.sizes,
+        "low": model.low,
+        "high": model.high,
+        "start": x_0,
+    }
+    lines = [_table("double", name, map(repr, values.tolist())) for name, values in tables.items()]
+    lines.append(_table("size_t", "used", map(str, model.used.tolist())))
+    lines.append(_table("size_t", "factors", (str(i) for term in factors for i in term)))
+    p = len(model.w)
+    return _LIFTED_SOURCE.format(
+        words=words,
+        states=model.order,
+        inputs=len(model.u_0) + len(model.d_0),
+        outputs=p,
+        past_outputs=model.lags * p,
+        used=q,
+        monomials=len(factors),
+        degree=degree,
+        tables="\n".join([*lines, ""]),
+    )
+
+
+def _linear_source(model: InnovationModel, x_0: FloatArray, words: str) -> str:
     m, n_d = len(model.u_0), len(model.d_0)
     tables = {
         "a": model.a.ravel(),
@@ -149,17 +246,13 @@ def _sources(model: InnovationModel, start: FloatArray, words: str) -> dict[str,
         "c": model.c.ravel(),
         "input_rest": np.concatenate([model.u_0, model.d_0]),
         "output_rest": model.y_0,
-        "start": model.rest(start[:m], start[m:]),
+        "start": x_0,
     }
     lines = [_table("double", name, map(repr, values.tolist())) for name, values in tables.items()]
     lines += _map_tables("input", model.input_map, m + n_d)
     lines += _map_tables("output", model.output_map, len(model.y_0))
     sizes = {"states": model.order, "inputs": m + n_d, "outputs": len(model.y_0)}
-    plain = words.replace("*/", "")
-    return {
-        "controller.h": _HEADER.format(**sizes),
-        "plant.c": _SOURCE.format(**sizes, words=plain, tables="\n".join([*lines, ""])),
-    }
+    return _SOURCE.format(**sizes, words=words, tables="\n".join([*lines, ""]))
 
 
 def _map_tables(kind: str, static: StaticMap | None, signals: int) -> list[str]:

@@ -19,6 +19,7 @@ METHODS = {
     "armax": "ARMAX in state space",
     "subspace": "subspace",
     "hammerstein-wiener": "Hammerstein-Wiener",
+    "koopman": "Koopman",
 }
 """Names of methods in study files, and for people."""
 MOST_STATES = 10
@@ -32,7 +33,7 @@ class Fit:
     Parameters
     ----------
     method : str
-        One of :data:`METHODS`.
+        One of :data:`METHODS`, but for ``"koopman"``.
     order : int
         Lags of an autoregressive model, states of the others.
     delays : tuple of int
@@ -105,6 +106,11 @@ class Fit:
         if self.method == "arx":
             return self.order * (m + n_d + p) + 1 + self.order * len(samples.stretches)
         return self.order * (m + n_d + 2 * p + len(samples.stretches)) / p + 1
+
+    @property
+    def is_nonlinear(self) -> bool:
+        """Whether it has nonlinearities."""
+        return self.input_map is not None or self.output_map is not None
 
     @property
     def words(self) -> str:

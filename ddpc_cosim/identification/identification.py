@@ -15,7 +15,7 @@ from ddpc_cosim.settings import setting
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
 
-Method = Literal["auto", "arx", "armax", "subspace", "hammerstein-wiener"]
+Method = Literal["auto", "arx", "armax", "subspace", "hammerstein-wiener", "koopman"]
 Start = Literal["rest", "log-end"]
 _NAMED = {
     "inputs": "plant.inputs in a study, --input of `ddpc-cosim identify`",

@@ -7,7 +7,7 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.durations import in_words
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -24,7 +24,7 @@ class IdentifiedPlant(Plant):
 
     Parameters
     ----------
-    model : InnovationModel
+    model : PlantModel
         The model.
     inputs, outputs : sequence of Variable
         Its inputs, disturbances after those that are driven, and outputs. It starts at rest at the start
@@ -44,7 +44,7 @@ class IdentifiedPlant(Plant):
 
     def __init__(
         self,
-        model: InnovationModel,
+        model: PlantModel,
         inputs: Sequence[Variable],
         outputs: Sequence[Variable],
         *,

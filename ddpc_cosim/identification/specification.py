@@ -1,7 +1,9 @@
 """A plant identified from data as a study has it: what it is, before and after its models are found."""
 
 import hashlib
+import importlib.metadata
 import json
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -14,10 +16,12 @@ from ddpc_cosim.codec import read, write
 from ddpc_cosim.description import PlantDescription, describe
 from ddpc_cosim.files.durations import in_words
 from ddpc_cosim.identification.identification import Identification, LoggedPlant, read_logged_plant
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.identification.plant import IdentifiedPlant
+from ddpc_cosim.plugins import package_version
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.variables import FloatArray, Variable, names, with_start
+from fmu_plants.files import cached
 
 if TYPE_CHECKING:
     from ddpc_cosim.identification.candidates import Candidate
@@ -34,7 +38,7 @@ class Ensemble:
     ----------
     inputs, outputs : tuple of Variable
         The signals, disturbances after the inputs that are driven.
-    models : tuple of InnovationModel
+    models : tuple of PlantModel
         The model of all data, and those of data that might have been recorded as well.
     states : tuple of array, shape (n,)
         Where each of them is at the end of the log.
@@ -54,7 +58,7 @@ class Ensemble:
 
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
-    models: tuple[InnovationModel, ...]
+    models: tuple[PlantModel, ...]
     states: tuple[FloatArray, ...]
     ranges: Mapping[str, tuple[float, float]]
     facts: dict[str, str]
@@ -160,7 +164,37 @@ def _logged(
 def _ensemble(
     hashes: tuple[str, ...], settings: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> Ensemble:
-    """Find the models of logs of this content, once."""
+    """Return the models of logs of this content, which are found once and kept in the cache."""
+    decisive = hashes, settings, inputs, outputs, _code()
+    place = f"identified/{hashlib.sha256(repr(decisive).encode()).hexdigest()}.pickle"
+
+    def made() -> bytes:
+        return pickle.dumps(_found(hashes, settings, inputs, outputs))
+
+    try:
+        content = cached(place, made).read_bytes()
+    except OSError:  # a cache that cannot be used costs time, and nothing else
+        content = made()
+    models: Ensemble = pickle.loads(content)
+    return models
+
+
+def _code() -> str:
+    """Return what decides models besides logs and settings: the code that reads those, and its libraries."""
+    code = hashlib.sha256()
+    package = Path(__file__).parent.parent
+    for path in sorted(
+        [*package.glob("identification/*.py"), *package.glob("files/*.py"), *package.glob("*.py")]
+    ):
+        code.update(path.read_bytes())
+    versions = package_version(), *map(importlib.metadata.version, ("numpy", "scipy"))
+    return f"{code.hexdigest()} {' '.join(versions)}"
+
+
+def _found(
+    hashes: tuple[str, ...], settings: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> Ensemble:
+    """Find the models of logs of this content."""
     # With what estimates, SciPy's optimisation too: reading a study and running its cases do without.
     from ddpc_cosim.identification.bootstrap import ensemble
     from ddpc_cosim.identification.candidates import candidates

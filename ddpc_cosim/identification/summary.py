@@ -1,18 +1,20 @@
 """What is to be said of a plant that was identified: which model, how good, how sure."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from ddpc_cosim.files.durations import in_words
-from ddpc_cosim.identification.bootstrap import gain_intervals, gains
+from ddpc_cosim.identification.bootstrap import gain_intervals, gains, matched_poles
 from ddpc_cosim.identification.candidates import HORIZON
-from ddpc_cosim.identification.innovation import InnovationModel
+from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.identification.specification import IdentifiedSpec
 from ddpc_cosim.variables import names
 
 _LEVEL = 0.9
+_ENDS = ((1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0)
+_MOST_POLES = 4
 
 
 def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
@@ -28,8 +30,10 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
     data : dict
         ``model``; ``candidates`` with ``model`` and ``error``; ``fit`` by output [%]; ``gains`` by output and
         input with ``value``, ``low`` and ``high`` (None where a model integrates); ``time_constant`` [s],
-        that of the slowest pole, likewise; ``noise``, the standard deviation of each output's innovations;
-        ``ranges``; ``members``, and how many of them are ``unstable``.
+        that of the slowest pole, likewise; ``poles``, the slowest, with ``time_constant`` [s] and ``period``
+        [s] (None: a real one) likewise, without ends where the models do not tell it from others; ``noise``,
+        the standard deviation of each output's innovations; ``ranges``; ``members``, and how many of them are
+        ``unstable``.
     """
     ensemble = spec.ensemble
     assert ensemble is not None
@@ -37,7 +41,7 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
     low, high = gain_intervals(models, _LEVEL)
     outputs, inputs = names(ensemble.outputs), names(ensemble.inputs)[: len(best.u_0)]
     constants = [_time_constant(model) for model in models]
-    ends = np.quantile(constants, [(1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0])
+    ends = np.quantile(constants, _ENDS)
     return {
         "files": list(spec.identification.file),
         "samples": ensemble.samples,
@@ -53,6 +57,7 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
             for i, output in enumerate(outputs)
         },
         "time_constant": _interval(constants[0], *ends),
+        "poles": _poles(models),
         "noise": dict(zip(outputs, np.sqrt(np.diag(best.covariance)).tolist(), strict=True)),
         "ranges": {name: list(ends) for name, ends in ensemble.ranges.items()},
         "members": len(models),
@@ -81,15 +86,35 @@ def identified_lines(spec: IdentifiedSpec, data: dict[str, Any]) -> Iterator[str
             unit = f"{units[output] or '1'}/{units[name] or '1'}"
             yield f"gain from {name} to {output}: {_range(gain, unit, 'it integrates')}"
     yield f"slowest time constant: {_range(data['time_constant'], 's', 'it integrates, or is unstable')}"
+    for pole in data["poles"][1:]:
+        period = pole["period"]
+        swings = f", period {_range(period, 's', 'none')}" if period else ""
+        unsure = "" if pole["time_constant"]["low"] is not None else "; the models do not tell it from others"
+        yield f"further time constant: {_range(pole['time_constant'], 's', 'it integrates')}{swings}{unsure}"
     if data["unstable"]:
         yield f"{data['unstable']} of the {data['members']} models do not come to rest by themselves"
     for name, (low, high) in data["ranges"].items():
         yield f"{name} was recorded from {low:.4g} to {_number(high, units[name])}: beyond, nothing is known"
 
 
-def _time_constant(model: InnovationModel) -> float:
+def _poles(models: Sequence[PlantModel]) -> list[dict[str, Any]]:
+    """Return time constants and periods of the slowest poles, and between what those of most models lie."""
+    h, found = models[0].sampling_time, list[dict[str, Any]]()
+    poles, others = matched_poles(models, _MOST_POLES)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for pole, cloud in zip(poles, others.T, strict=True):
+            every = np.concatenate([[pole], cloud])
+            radius, angle = np.minimum(np.abs(every), 1.0), np.abs(np.angle(every))
+            kinds = {"time_constant": -h / np.log(radius), "period": 2.0 * np.pi * h / angle}
+            ends = {kind: np.quantile(values[1:], _ENDS) for kind, values in kinds.items()}
+            intervals = {kind: _interval(kinds[kind][0], *ends[kind]) for kind in kinds}
+            found.append({**intervals, "period": intervals["period"] if pole.imag else None})
+    return found
+
+
+def _time_constant(model: PlantModel) -> float:
     """Return that of the slowest pole [s]; infinite of one that does not decay."""
-    radius = float(np.abs(np.linalg.eigvals(model.a)).max())
+    radius = float(np.abs(np.linalg.eigvals(model.linear_part()[0])).max())
     return np.inf if radius >= 1.0 else -model.sampling_time / np.log(max(radius, np.finfo(float).tiny))
 
 

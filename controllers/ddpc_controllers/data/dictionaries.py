@@ -8,7 +8,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, groupby
+from itertools import groupby
 from math import comb
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ddpc_controllers.data.hankel import window_starts
 from ddpc_controllers.export.code import Code
-from ddpc_cosim import ConfigError, DataError, FloatArray, check_settings, setting
+from ddpc_cosim import ConfigError, DataError, FloatArray, Monomials, check_settings, setting
 from ddpc_cosim.plugins import load_target
 
 Centres = Literal["box", "data", "k-means"]
@@ -123,7 +123,7 @@ def _terms(code: Code, lift: Lift) -> list[str]:
     return lift.terms(code)
 
 
-def _products(code: Code, factors: list[list[int]]) -> str:
+def _products(code: Code, factors: Sequence[Sequence[int]]) -> str:
     size = len(factors[0])
     table = code.sizes([i for factor in factors for i in factor] or [0])
     return code.constant("Term", kind="MONOMIALS", count=len(factors), size=size, factors=table)
@@ -296,26 +296,11 @@ class Polynomials:
 
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Return the monomials; see :class:`Dictionary`."""
-        size = states.shape[-1]
-        return _Monomials(
-            [
-                list(factors)
-                for degree in range(2, self.degree + 1)
-                for factors in combinations_with_replacement(range(size), degree)
-            ]
-        )
+        return _Monomials(Monomials.between(states.shape[-1], 2, self.degree).factors)
 
 
-@dataclass(frozen=True, slots=True)
-class _Monomials(_Observables):
-    factors: list[list[int]]
-    """The numbers of the coordinates that each is the product of."""
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        values = np.empty((*states.shape[:-1], len(self.factors)))
-        for i, chosen in enumerate(self.factors):
-            values[..., i] = states[..., chosen].prod(axis=-1)
-        return values
+class _Monomials(Monomials, _Observables):
+    """Products of coordinates, which C knows too."""
 
     def terms(self, code: Code) -> list[str]:
         return [_products(code, list(alike)) for _, alike in groupby(self.factors, len)]

@@ -30,7 +30,9 @@ def identify(
         None, "Of the model, in s, or such as `1 min` [that of the log].", type=options.DURATION, metavar="H"
     ),
     method: str = option(
-        "auto", "arx, armax, subspace, hammerstein-wiener; auto: as predicts best.", show_default=True
+        "auto",
+        "arx, armax, subspace, hammerstein-wiener, koopman; auto: as predicts best.",
+        show_default=True,
     ),
     order: int = option(0, "Past samples, or states [by the data].", type=click.IntRange(0, 200)),
     members: int = option(

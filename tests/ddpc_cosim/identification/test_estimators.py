@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy.linalg import block_diag
 
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
 from ddpc_cosim.identification.arx import choose_delays
-from ddpc_cosim.identification.bootstrap import ensemble, gain_intervals, gains
+from ddpc_cosim.identification.bootstrap import ensemble, gain_intervals, gains, matched_poles
 from ddpc_cosim.identification.candidates import candidates, parted
 from ddpc_cosim.identification.fits import Fit
 from ddpc_cosim.identification.innovation import InnovationModel
@@ -221,3 +222,32 @@ def test_an_interval_of_ninety_percent_holds_the_true_gain_as_often(method: str)
         low, high = gain_intervals(ensemble(data, best, 60, np.random.default_rng(seed)))
         held += int(low[0, 0] <= expected <= high[0, 0])
     assert 46 <= held <= 60
+
+
+def with_poles(*poles: complex) -> InnovationModel:
+    """Return a model with these poles, of which complex ones come in pairs."""
+    blocks = [
+        np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]) if pole.imag else np.array([[pole.real]])
+        for pole in map(complex, poles)
+    ]
+    n = sum(map(len, blocks))
+    offsets = np.zeros(1), np.zeros(1), np.zeros(0)
+    matrices = block_diag(*blocks), np.ones((n, 1)), np.zeros((n, 0)), np.zeros((n, 1)), np.ones((1, n))
+    return InnovationModel(*matrices, *offsets, np.eye(1), 1.0, "true")
+
+
+def test_poles_of_an_ensemble_are_matched_whatever_their_order() -> None:
+    first = with_poles(0.95, 0.6, 0.7 + 0.3j)
+    others = [with_poles(0.6 + e, 0.7 + 0.3j + e, 0.95 - e) for e in (-0.01, 0.01)]
+    poles, matched = matched_poles([first, *others], 4)
+    np.testing.assert_allclose(poles, [0.95, 0.7 + 0.3j, 0.6])
+    np.testing.assert_allclose(matched[1:] - poles, [[0.01, -0.01, -0.01], [-0.01, 0.01, 0.01]], atol=1e-12)
+
+
+def test_poles_that_are_not_told_apart_have_no_interval() -> None:
+    """Two real poles that are a complex pair in half of the models."""
+    models = [with_poles(0.95, 0.62, 0.6), with_poles(0.95, 0.62, 0.6), with_poles(0.95, 0.61 + 0.05j)]
+    poles, matched = matched_poles(models, 4)
+    assert len(poles) == 3
+    np.testing.assert_allclose(matched[:, 0], 0.95)
+    assert np.isnan(matched[:, 1:]).all()
