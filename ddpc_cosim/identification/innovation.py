@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.variables import FloatArray
@@ -60,6 +61,8 @@ class InnovationModel:
         How it was found, in words: ``"arx"``.
     input_map, output_map : StaticMap, optional
         The nonlinearities g and h; default: there are none.
+    rows : int
+        Samples that it was found from: what takes longer than those is not known to come to rest.
     """
 
     a: FloatArray
@@ -75,6 +78,7 @@ class InnovationModel:
     method: str
     input_map: StaticMap | None = None
     output_map: StaticMap | None = None
+    rows: int = 10**8
 
     @property
     def order(self) -> int:
@@ -96,9 +100,24 @@ class InnovationModel:
         return self.a @ x + self.driven(u, d) + self.k @ noise
 
     def rest(self, u: FloatArray, d: FloatArray) -> FloatArray:
-        """Return the state, shape (n,), in which it rests, or nearly does if it integrates, at inputs."""
-        x, *_ = np.linalg.lstsq(np.eye(self.order) - self.a, self.driven(u, d), rcond=_NEGLIGIBLE)
-        return np.asarray(x)
+        """Return the state, shape (n,), in which it rests at inputs.
+
+        What integrates, or takes longer to settle than the data that it was found from, stays where it is at
+        x = 0: where that would rest is anywhere, also far from all that was recorded.
+        """
+        driven = self.driven(u, d)
+        if not self._lasts(np.linalg.eigvals(self.a)).any():
+            return np.asarray(np.linalg.solve(np.eye(self.order) - self.a, driven))
+        from scipy.linalg import schur, solve_sylvester
+
+        # A = Q T Q', the lasting modes first; with X they and the others, w and v, go on independently.
+        t, q, count = schur(self.a, sort=lambda real, imaginary: bool(self._lasts(real + 1j * imaginary)))
+        x = solve_sylvester(t[:count, :count], -t[count:, count:], -t[:count, count:])
+        v = np.linalg.solve(np.eye(self.order - count) - t[count:, count:], q[:, count:].T @ driven)
+        return np.asarray(q @ np.concatenate([x @ v, v]))
+
+    def _lasts(self, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
+        return np.asarray(np.abs(poles - 1.0) * self.rows < 1.0)
 
     def simulate(
         self,
