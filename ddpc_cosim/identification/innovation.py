@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.variables import FloatArray
@@ -106,18 +105,18 @@ class InnovationModel:
         x = 0: where that would rest is anywhere, also far from all that was recorded.
         """
         driven = self.driven(u, d)
-        if not self._lasts(np.linalg.eigvals(self.a)).any():
+        if not any(map(self._lasts, np.linalg.eigvals(self.a))):
             return np.asarray(np.linalg.solve(np.eye(self.order) - self.a, driven))
         from scipy.linalg import schur, solve_sylvester
 
         # A = Q T Q', the lasting modes first; with X they and the others, w and v, go on independently.
-        t, q, count = schur(self.a, sort=lambda real, imaginary: bool(self._lasts(real + 1j * imaginary)))
+        t, q, count = schur(self.a, sort=lambda real, imaginary: self._lasts(complex(real, imaginary)))
         x = solve_sylvester(t[:count, :count], -t[count:, count:], -t[:count, count:])
         v = np.linalg.solve(np.eye(self.order - count) - t[count:, count:], q[:, count:].T @ driven)
         return np.asarray(q @ np.concatenate([x @ v, v]))
 
-    def _lasts(self, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
-        return np.asarray(np.abs(poles - 1.0) * self.rows < 1.0)
+    def _lasts(self, pole: complex) -> bool:
+        return abs(pole - 1.0) * self.rows < 1.0
 
     def simulate(
         self,
