@@ -62,6 +62,13 @@ def test_the_innovations_are_the_errors_of_the_least_squares() -> None:
     assert model.covariance[0, 0] == pytest.approx(expected @ expected / (498 - 7))
 
 
+def test_a_held_out_stretch_that_cannot_be_parted_prefers_the_smaller_model() -> None:
+    """A quarter of 75 samples is shorter than the horizon: there is one error of each, and no spread."""
+    first, *others = candidates(second_order(75, 0.1), "arx")
+    assert first.excess(first) == (0.0, np.inf)
+    assert all(first.model.order <= other.model.order for other in others)
+
+
 def test_schwarz_finds_the_lags_of_the_plant() -> None:
     assert choose_lags(Samples.of(second_order(1000, 0.1))) == 2
 
