@@ -218,7 +218,7 @@ class _Treatments:
                 parts += self._sampled(rows)
             else:
                 parts += self._resampled(rows)
-        parts = [part for rows in parts for part in self._bridged(rows) if part.time.size]
+        parts = self._taken([part for rows in parts for part in self._bridged(rows) if part.time.size])
         whole = _joined(parts)
         if not len(whole.time) and not self._faults.lines:
             files = ", ".join(table.file for table in tables)
@@ -242,6 +242,18 @@ class _Treatments:
             begin=date_of(self._origin) if with_dates and self._origin else None,
             texts=tuple(texts),
         )
+
+    def _taken(self, parts: Sequence[_Rows]) -> list[_Rows]:
+        """Return what the format takes of the samples, from one share of all of them to another."""
+        begins = np.cumsum([0, *(len(part.time) for part in parts)])
+        first, last = (round(share * int(begins[-1])) for share in self._format.part)
+        taken = [
+            part.of(slice(max(first - begin, 0), max(last - begin, 0)))
+            for part, begin in zip(parts, begins[:-1].tolist(), strict=True)
+        ]
+        left = int(begins[-1]) - (last - first)
+        self._count("part", "sample outside the part left out", "samples outside the part left out", left)
+        return [part for part in taken if part.time.size]
 
     def _count(self, kind: str, one: str, many: str, number: int) -> None:
         if number:

@@ -102,9 +102,14 @@ class Candidate:
         return self.fit.words
 
     def excess(self, other: "Candidate") -> tuple[float, float]:
-        """Return by how much its error is larger, as a logarithm, and the standard error of that."""
+        """Return by how much its error is larger, as a logarithm, and the standard error of that.
+
+        That is infinite where the stretch is too short to be parted: then no difference is more than chance.
+        """
         differences = np.log(self.by_block / other.by_block)
-        return float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(len(differences)))
+        blocks = len(differences)
+        spread = differences.std(ddof=1) if blocks > 1 else np.inf
+        return float(differences.mean()), float(spread / np.sqrt(blocks))
 
 
 def candidates(

@@ -226,6 +226,8 @@ class InnovationModel(PlantModel):
         How it was found, in words: ``"arx"``.
     input_map, output_map : StaticMap, optional
         The nonlinearities g and h; default: there are none.
+    rows : int
+        Samples that it was found from: what takes longer than those is not known to come to rest.
     """
 
     a: FloatArray
@@ -241,6 +243,7 @@ class InnovationModel(PlantModel):
     method: str
     input_map: StaticMap | None = None
     output_map: StaticMap | None = None
+    rows: int = 10**8
 
     @property
     def is_affine(self) -> bool:
@@ -262,9 +265,24 @@ class InnovationModel(PlantModel):
         return y if self.output_map is None else self.output_map(y)
 
     def rest(self, u: FloatArray, d: FloatArray) -> FloatArray:
-        """Return the state, shape (n,), in which it rests, or nearly does if it integrates, at inputs."""
-        x, *_ = np.linalg.lstsq(np.eye(self.order) - self.a, self.driven(u, d), rcond=_NEGLIGIBLE)
-        return np.asarray(x)
+        """Return the state, shape (n,), in which it rests at inputs.
+
+        What integrates, or takes longer to settle than the data that it was found from, stays where it is at
+        x = 0: where that would rest is anywhere, also far from all that was recorded.
+        """
+        driven = self.driven(u, d)
+        if not any(map(self._lasts, np.linalg.eigvals(self.a))):
+            return np.asarray(np.linalg.solve(np.eye(self.order) - self.a, driven))
+        from scipy.linalg import schur, solve_sylvester
+
+        # A = Q T Q', the lasting modes first; with X they and the others, w and v, go on independently.
+        t, q, count = schur(self.a, sort=lambda real, imaginary: self._lasts(complex(real, imaginary)))
+        x = solve_sylvester(t[:count, :count], -t[count:, count:], -t[:count, count:])
+        v = np.linalg.solve(np.eye(self.order - count) - t[count:, count:], q[:, count:].T @ driven)
+        return np.asarray(q @ np.concatenate([x @ v, v]))
+
+    def _lasts(self, pole: complex) -> bool:
+        return abs(pole - 1.0) * self.rows < 1.0
 
     def linear_part(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A, B and C, of the model between its nonlinearities."""

@@ -227,6 +227,7 @@ class Predictor:
             covariance=covariance * np.outer(size_y, size_y),
             sampling_time=samples.sampling_time,
             method=method,
+            rows=len(samples),
         )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from markupsafe import Markup
 
 from ddpc_cosim import Identification, StudyResults
-from ddpc_cosim.study.verdicts.findings import Findings
+from ddpc_cosim.study.verdicts.findings import Findings, Lead
 from ddpc_cosim.study.verdicts.sentences import italic, join_words
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 
@@ -36,18 +36,21 @@ def certainty_of_plant(
     text = Markup(
         "The plant is an estimate, and each seed plays another model of it: intervals allow for that."
     )
-    if not (findings.leaders and findings.following):
+    first, *level = findings.leaders or ("",)
+    is_level = findings.lead is Lead.LEVEL and bool(level)
+    other = level[0] if is_level else findings.following
+    if not (first and other):
         return text
-    first, other = findings.leaders[0], findings.following
-    shares = {key: 1.0 - ranking.above(key, first, other).won for key in ranking.keys}
+    ahead = {key: ranking.above(key, first, other).turned for key in ranking.keys}
     pair = italic(who[first].label), italic(who[other].label)
     parts = [
-        f"{share:.0%} of them" + (f" in {metric_signal(key)}" if len(shares) > 1 else "")
-        for key, share in shares.items()
-        if share < _ALL
+        f"{difference.won * difference.seeds:g} of {difference.seeds}"
+        + (f" in {metric_signal(key)}" if len(ahead) > 1 else "")
+        for key, difference in ahead.items()
+        if difference.won < _ALL
     ]
     if not parts:
-        return text + Markup(" {} is ahead of {} on all of them.").format(*pair)
+        return text if is_level else text + Markup(" {} is ahead of {} on all of them.").format(*pair)
     return text + Markup(" They disagree: {} is ahead of {} on {}.").format(*pair, join_words(parts))
 
 

@@ -358,3 +358,25 @@ def test_names_are_text(make_results: MakeResults, name: str) -> None:
 def test_alone_nobody_is_ahead(make_results: MakeResults) -> None:
     text = said(study(make_results, lag({"a": 0.3}), "a"))
     assert text.startswith("There is nothing to compare a with: mean absolute error ")
+
+
+@pytest.mark.parametrize("flips", [True, False])
+def test_where_the_models_of_an_estimated_plant_disagree_it_is_said_on_how_many(
+    make_results: MakeResults, flips: bool
+) -> None:
+    """Also of two that share the first rank because of it."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        winner = "b" if flips and seed % 3 == 0 else "a"
+        return make_trace((0.5 if key == winner else 0.7) + 0.01 * seed, noise_seed=seed)
+
+    plant = {
+        "identified": {"file": ["log.csv"], "members": 12},
+        "inputs": ["torque"],
+        "outputs": ["angle"],
+    }
+    text = said(study(make_results, trace_of, "a", "b", plant=plant))
+    allowed = "The plant is an estimate, and each seed plays another model of it: intervals allow for that."
+    assert ("not told apart" in text) is flips
+    said_then = "They disagree: a is ahead of b on 8 of 12." if flips else "a is ahead of b on all of them."
+    assert f"{allowed} {said_then}" in text

@@ -288,6 +288,30 @@ def test_missing_rows_and_cells_are_interpolated_up_to_a_number_and_split_beyond
     assert read(LogFormat, {"missing": {"interpolate": 3}}).missing == 3
 
 
+def test_a_part_of_the_samples_is_taken_after_all_else_is_done(tmp_path: Path) -> None:
+    text = "time,x\n0,0\n1,1\n2,2\n4,4\n5,5\n9,9\n10,10\n11,11\n12,12\n"
+    halves = [
+        log_of(tmp_path, text, 1.0, missing=1, gaps="split", part=part) for part in ([0.0, 0.5], [0.5, 1.0])
+    ]
+    assert [column(half.values) for half in halves] == [
+        [0.0, 1.0, 2.0, 3.0, 4.0],
+        [5.0, 9.0, 10.0, 11.0, 12.0],
+    ]
+    assert [half.seams for half in halves] == [(), (1,)]
+    words = [treatment.words for treatment in halves[0].treatments]
+    assert "5 samples outside the part left out" in words
+
+
+@settings(deadline=None, max_examples=20)
+@given(before=st.integers(1, 30), after=st.integers(1, 30))
+def test_two_parts_are_the_whole(before: int, after: int, tmp_path_factory: pytest.TempPathFactory) -> None:
+    rows = before + after
+    text = "time,x\n" + "".join(f"{i},{i}\n" for i in range(rows))
+    folder, share = tmp_path_factory.mktemp("parts"), before / rows
+    parts = [column(log_of(folder, text, 1.0, part=part).values) for part in ([0.0, share], [share, 1.0])]
+    assert parts == [[*range(before)], [*range(before, rows)]]
+
+
 def test_rows_that_are_uneven(tmp_path: Path) -> None:
     text = "time,x\n0,0\n1,1\n2.4,2.4\n3,3\n4,4\n5,5\n"
     with pytest.raises(DataError, match=r'line 4.*2 in all, then line 5.*resample = "linear"'):

@@ -1,5 +1,7 @@
 """Models in innovation form, and autoregressive ones by least squares, against formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -58,6 +60,13 @@ def test_the_innovations_are_the_errors_of_the_least_squares() -> None:
     expected = y[2:] - known @ theta
     np.testing.assert_allclose(model.one_step_errors(recording)[2:, 0], expected, atol=1e-9)
     assert model.covariance[0, 0] == pytest.approx(expected @ expected / (498 - 7))
+
+
+def test_a_held_out_stretch_that_cannot_be_parted_prefers_the_smaller_model() -> None:
+    """A quarter of 75 samples is shorter than the horizon: there is one error of each, and no spread."""
+    first, *others = candidates(second_order(75, 0.1), "arx")
+    assert first.excess(first) == (0.0, np.inf)
+    assert all(first.model.order <= other.model.order for other in others)
 
 
 def test_schwarz_finds_the_lags_of_the_plant() -> None:
@@ -126,6 +135,23 @@ def test_a_model_rests_where_nothing_changes_any_more() -> None:
     u, d = np.full((200, 1), 5.0), np.full((200, 1), -1.0)
     y = model.simulate(u, d)
     np.testing.assert_allclose(y, np.broadcast_to(y[0], y.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("pole", [1.0, 0.9999, 1.0001])
+def test_what_takes_longer_than_the_data_does_not_rest_far_from_them(pole: float) -> None:
+    """Two modes in other coordinates: the fast one rests, the other stays where the model is at x = 0."""
+    poles, b = np.array([0.5, pole]), np.array([[1.0], [0.2]])
+    to = np.array([[1.0, 2.0], [0.5, -1.0]])
+    a = to @ np.diag(poles) @ np.linalg.inv(to)
+    nothing = np.zeros((2, 0)), np.zeros((2, 1)), np.zeros(1), np.zeros(1), np.zeros(0)
+    e, k, u_0, y_0, d_0 = nothing
+    model = InnovationModel(a, to @ b, e, k, np.eye(1, 2), u_0, y_0, d_0, np.eye(1), H, "arx", rows=1000)
+    u = np.array([3.0])
+    np.testing.assert_allclose(np.linalg.solve(to, model.rest(u, d_0)), [3.0 / (1.0 - 0.5), 0.0], atol=1e-12)
+    if pole == 0.9999:
+        known = replace(model, rows=100_000)
+        far = [3.0 / (1.0 - 0.5), 0.6 / (1.0 - pole)]
+        np.testing.assert_allclose(np.linalg.solve(to, known.rest(u, d_0)), far)
 
 
 def test_the_ensemble_spreads_as_the_estimate_does_over_new_data() -> None:
