@@ -160,7 +160,7 @@ ANY = PlantModel(
 )
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32 - 1))
 def test_random_linear_fmus_are_the_linear_system_that_they_are(exported: Exported, seed: int) -> None:
     """Of x' = a x + b w, y = x + d w and w = G y: x' = (a + b G (I - d G)^-1) x, and y = (I - d G)^-1 x."""

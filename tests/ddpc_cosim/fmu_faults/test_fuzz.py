@@ -184,7 +184,7 @@ def binaries() -> dict[int, Files]:
 @pytest.mark.usefixtures("nothing_left")
 class TestOnlyErrorsOfTheFamily:
     @pytest.mark.parametrize("version", [2, 3])
-    @settings(fuzz, max_examples=200)
+    @settings(fuzz, max_examples=100)
     @given(mutations=MUTATIONS)
     def test_descriptions(self, version: int, binaries: Any, mutations: Any) -> None:
         use({**binaries[version], "modelDescription.xml": mutate(DESCRIPTIONS[version], mutations)})

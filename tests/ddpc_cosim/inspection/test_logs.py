@@ -11,6 +11,9 @@ from ddpc_cosim.inspection.predictions import Method, Predictions, predictions
 from ddpc_cosim.inspection.relations import Relations, relations
 from ddpc_cosim.plugins import Plugin
 
+# What relations many loops have is found once, in one process.
+pytestmark = pytest.mark.xdist_group("relations")
+
 GAIN, POLE, DEAD_TIME = 2.0, 0.9, 4
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 from ddpc_cosim import (
     Action,
@@ -111,7 +111,8 @@ def test_plant_and_controller_are_called_in_the_order_of_the_contract() -> None:
     assert np.array_equal(trace.y[:, 0], [0.0, 1.5, 4.5])
 
 
-@given(st.integers(1, 3000), st.sampled_from([0.1, 0.3, 1e-3, 7.0]), st.floats(-1e3, 1e3))
+@example(3000, 0.1, -1e3)
+@given(st.integers(1, 300), st.sampled_from([0.1, 0.3, 1e-3, 7.0]), st.floats(-1e3, 1e3))
 def test_n_steps_give_n_plus_one_rows_at_computed_times(n: int, h: float, t0: float) -> None:
     @dataclass(kw_only=True)
     class Silent(Controller):

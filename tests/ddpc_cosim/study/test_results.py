@@ -116,7 +116,7 @@ def assert_same(a: Any, b: Any) -> None:
         assert a == b
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(traces(), st.sampled_from(["csv", "parquet"]))
 def test_a_trace_is_read_as_it_was_written_to_the_last_bit(
     tmp_path: Path, trace: Trace, storage: str

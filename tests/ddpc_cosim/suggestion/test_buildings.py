@@ -17,6 +17,9 @@ from ddpc_cosim.variables import Variable
 from fmu_plants import build_fmu
 from fmu_plants.building import MODEL
 
+# Its house is looked into once, in one process.
+pytestmark = pytest.mark.xdist_group("house")
+
 DAY = 86_400.0
 
 

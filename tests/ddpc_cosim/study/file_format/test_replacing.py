@@ -46,7 +46,7 @@ def test_a_file_that_says_nothing_is_what_it_extends(base: Table) -> None:
     assert set(not_said(merged, {})) == {(key,) for key in said}
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(TABLES, TABLES)
 def test_whatever_files_say_the_own_counts(base: Table, extending: Table) -> None:
     """Wrong types are told later, where the study is checked."""

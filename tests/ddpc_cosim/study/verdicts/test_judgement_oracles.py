@@ -45,11 +45,13 @@ from ddpc_cosim.study.file_format.sections import ScenarioSection
 from ddpc_cosim.study.verdicts.judgement import judged, run_of, scenario_remarks
 from ddpc_cosim.study.verdicts.standings import standings
 
-# All of them together are half a minute; the first say whether it is so at all.
-over_seeds = pytest.mark.parametrize(
-    "seeds",
-    [pytest.param(range(8), id="few"), pytest.param(range(8, 30), id="more", marks=pytest.mark.slow)],
-)
+
+def over_seeds(few: int, seeds: int) -> pytest.MarkDecorator:
+    """All of them together are half a minute; the first say whether it is so at all."""
+    more = pytest.param(range(few, seeds), id="more", marks=pytest.mark.slow)
+    return pytest.mark.parametrize("seeds", [pytest.param(range(few), id="few"), more])
+
+
 DOWN = Steps((0.0, 50.0), (1.0, 0.0))
 
 
@@ -236,7 +238,7 @@ REFERENCES: dict[str, Reference] = {
 }
 
 
-@over_seeds
+@over_seeds(4, 30)
 @pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("disturbed", DISTURBED)
 def test_a_perfect_controller_of_a_static_plant(disturbed: str, reference: str, seeds: range) -> None:
@@ -250,7 +252,7 @@ def test_a_perfect_controller_of_a_static_plant(disturbed: str, reference: str, 
         assert (case.settles is None) == moves
 
 
-@over_seeds
+@over_seeds(4, 30)
 @pytest.mark.parametrize("reference", ["steps", "constant", "ramp"])
 @pytest.mark.parametrize("noise", [{"u0": 3.0}, {"y": 0.2}], ids=str)
 def test_a_perfect_controller_of_a_slow_plant(noise: dict[str, float], reference: str, seeds: range) -> None:
@@ -266,7 +268,7 @@ COUPLED = Linear([[0.6, 0.2], [0.1, 0.7]], [[1.0, 0.4], [-0.3, 0.8]])
 ONE_STAYS = {"y": DOWN, "z": Constant(0.0)}
 
 
-@over_seeds
+@over_seeds(4, 30)
 @pytest.mark.parametrize("noise", [{"y": 0.2}, {"z": 0.2}, {"u0": 0.2, "u1": 0.1}, {}], ids=str)
 def test_a_perfect_controller_of_two_outputs_one_of_which_stays(
     noise: dict[str, float], seeds: range
@@ -291,9 +293,10 @@ def test_a_perfect_controller_of_two_outputs_one_of_which_stays(
     ],
     ids=str,
 )
-def test_a_sane_controller_does_not_fail(reference: str, loop: dict[str, Any]) -> None:
+@over_seeds(2, 10)
+def test_a_sane_controller_does_not_fail(reference: str, loop: dict[str, Any], seeds: range) -> None:
     plant = Linear([[0.9]], [[0.1]])
-    for seed in range(10):
+    for seed in seeds:
         case = judge(plant, PID(proportional=2.0, integral=0.3), seed, REFERENCES[reference], **loop)
         assert not case.failed, (seed, case.failure)
 
@@ -309,7 +312,7 @@ def test_a_sane_controller_does_not_fail(reference: str, loop: dict[str, Any]) -
     ],
     ids=["stays behind", "oscillates", "drifts", "diverges", "the other way round"],
 )
-@over_seeds
+@over_seeds(4, 30)
 def test_a_bad_controller_fails(controller: Controller, why: str, seeds: range) -> None:
     case = judge(Linear(), controller, 0, DOWN)
     assert case.failed
