@@ -214,7 +214,7 @@ class LoggedSystem:
 
     def _reached(self, proposal: Proposal) -> dict[str, Reference | Band]:
         """Return what is wanted of the outputs, no further than the log went, unless it is asked for."""
-        reference = dict(proposal.study.reference)
+        reference = dict(proposal.study.reference or {})
         for name, wish in reference.items():
             if isinstance(wish, Steps) and name not in proposal.asked.ranges:
                 values = np.clip(wish.values, *self.ranges[name]).tolist()

@@ -337,6 +337,7 @@ PROBLEMS = {
                 emissions_unit="g/kWh",
             )
         },
+        communication_step="5 min",
         warm_up="7 d",
         warm_up_controller=PID(proportional=2.0),
         ranking="pareto",
