@@ -322,6 +322,7 @@ OTHER: dict[str, Any] = {
     "monitors": {"angle": Band(-1.0, 1.0), "speed": None},
     "read": (Variable("other output"),),
     "forecast_horizon": 3,
+    "communication_step": 0.05,
     "warm_up": 0.5,
     "warm_up_controller": {"type": "pid", "settings": {}},
     "resumed": Resumption(b"state", 0.0),
