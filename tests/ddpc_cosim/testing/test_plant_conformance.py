@@ -1,5 +1,6 @@
 """The conformance kit passes sound plants and catches each way of breaking the contract."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +42,18 @@ class TestTank(PlantConformance):
         return Tank
 
 
+@cache
+def built(name: str) -> Path:
+    return build_fmu(MODELS[name])
+
+
 @pytest.mark.parametrize("name", MODELS)
 class TestBuiltInPlants(PlantConformance):
     sampling_time = 0.05
 
     @pytest.fixture
     def make_plant(self, name: str) -> Any:
-        fmu = build_fmu(MODELS[name])
+        fmu = built(name)
         return lambda: FMUPlant(fmu)
 
 
