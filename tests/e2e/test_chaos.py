@@ -264,7 +264,7 @@ def write_study(folder: Path, isolated: str | bool) -> tuple[dict[str, str], dic
         plant={"fmu": "chaos.fmu", "isolated": isolated, "outputs": ["y"]},
         reference={"y": 1.0},
         controllers=controllers,
-        loop={"step_timeout": 3.0, "memory_limit": 1.0},
+        loop={"step_timeout": 6.0, "memory_limit": 1.0},
         scenarios=scenarios,
     )
     write(folder, text)
