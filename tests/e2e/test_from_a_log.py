@@ -41,14 +41,14 @@ def test_from_a_log_to_a_controller_in_c(tmp_path: Path, run_program: Run) -> No
         limits = study["bounds"][name]
         assert 2.5 <= limits["min"] < limits["max"] <= 3.5  # as far as the log went
 
-    done("run", "study.toml", "--seeds", "0:2", "--only", "deepc*", "--out", "out")
+    done("run", "study.toml", "--seeds", "0:2", "--only", "mpc", "--out", "out")
     with (tmp_path / "out" / "metrics.csv").open(encoding="utf-8", newline="") as file:
         rows = [*csv.DictReader(file)]
     assert [row["outcome"] for row in rows] == ["completed"] * 2
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "another model" in page
 
-    done("tune", "study.toml", "--only", "deepc*", "--trials", "2", "--seeds", "20", "--out", "tuned")
-    done("export-controller", "study.toml", "--controller", "deepc", "--out", "deepc.fmu")
-    with zipfile.ZipFile(tmp_path / "deepc.fmu") as archive:
+    done("tune", "study.toml", "--only", "mpc", "--trials", "2", "--seeds", "20", "--out", "tuned")
+    done("export-controller", "study.toml", "--controller", "mpc", "--out", "mpc.fmu")
+    with zipfile.ZipFile(tmp_path / "mpc.fmu") as archive:
         assert any(name.endswith(".c") for name in archive.namelist())
