@@ -225,38 +225,19 @@ def _steps(system_time: float, *values: float, unit: str = "") -> Steps:
     return Steps([number * system_time / len(values) for number in range(len(values))], values, unit=unit)
 
 
-LOAD = {"load": RandomLevels(-0.1, 0.1, 20.0)}
+_LINEAR: dict[str, Any] = {
+    "inputs": {"u": (-1.0, 1.0)},
+    "outputs": {"y": _steps(160.0, 0.0, 1.0, -0.5, 0.5)},
+    "noise": {"y": 0.05},
+    "nominal": {"u": 1.0, "y": 1.0},
+    "unknown": {"load": RandomLevels(-0.1, 0.1, 20.0)},
+}
+"""What is asked of linear plants with signals of size 1."""
 SYSTEMS = {
-    "dead time": System(
-        plant=DeadTime,
-        inputs={"u": (-1.0, 1.0)},
-        hold=8,
-        outputs={"y": _steps(160.0, 0.0, 1.0, -0.5, 0.5)},
-        noise={"y": 0.05},
-        nominal={"u": 1.0, "y": 1.0},
-        gradient=[[0.3]],
-        unknown=LOAD,
-    ),
-    "inverse response": System(
-        plant=InverseResponse,
-        inputs={"u": (-1.0, 1.0)},
-        hold=6,
-        outputs={"y": _steps(160.0, 0.0, 1.0, -0.5, 0.5)},
-        noise={"y": 0.05},
-        nominal={"u": 1.0, "y": 1.0},
-        gradient=[[0.1]],
-        unknown=LOAD,
-    ),
+    "dead time": System(plant=DeadTime, hold=8, gradient=[[0.3]], **_LINEAR),
+    "inverse response": System(plant=InverseResponse, hold=6, gradient=[[0.1]], **_LINEAR),
     "integrating": System(
-        plant=Integrating,
-        inputs={"u": (-1.0, 1.0)},
-        hold=6,
-        outputs={"y": _steps(160.0, 0.0, 1.0, -0.5, 0.5)},
-        noise={"y": 0.05},
-        nominal={"u": 1.0, "y": 1.0},
-        gradient=[[0.1]],
-        unknown=LOAD,
-        kept_by=PID(proportional=0.3),
+        plant=Integrating, hold=6, gradient=[[0.1]], kept_by=PID(proportional=0.3), **_LINEAR
     ),
     "valve": System(
         plant=EqualPercentage,

@@ -330,15 +330,20 @@ def load_pyarrow() -> Any:
     return pyarrow
 
 
+def require_readable(path: Path, largest: int) -> None:
+    """Raise DataError if there is no file, or one of more bytes than ``largest``."""
+    if not path.is_file():
+        raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    if (size := path.stat().st_size) > largest:
+        raise DataError(
+            f"{path}: {size / 1e6:.0f} MB are too many; allowed: {largest / 1e6:.0f} MB: keep the "
+            "columns and rows that are needed"
+        )
+
+
 def _text(path: Path) -> str:
     try:
-        if not path.is_file():
-            raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
-        if (size := path.stat().st_size) > _LARGEST:
-            raise DataError(
-                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-                "columns and rows that are needed"
-            )
+        require_readable(path, _LARGEST)
         content = path.read_bytes()
         if path.suffix == PARQUET:
             text = StringIO()

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError, DataError
-from ddpc_cosim.files.csv_files import PARQUET, Column, delimiter_of, find_column, load_pyarrow, split_unit
+from ddpc_cosim.files.csv_files import (
+    PARQUET,
+    Column,
+    delimiter_of,
+    find_column,
+    load_pyarrow,
+    require_readable,
+    split_unit,
+)
 from ddpc_cosim.files.log_dates import (
     NO_TIME,
     Dates,
@@ -223,7 +231,7 @@ def read_cells(
         It cannot be read at all.
     """
     try:
-        _require_readable(path)
+        require_readable(path, _LARGEST)
         if path.suffix == PARQUET:
             return _Reader(path, format, columns, faults, lenient=lenient).parquet()
         encoding = _marked(path) or format.encoding
@@ -259,7 +267,7 @@ def headers_of(path: Path, format: LogFormat, names: Collection[str] = ()) -> tu
     columns = [Column(None, name) for name in names] or None
     reader = _Reader(path, format, columns, Faults(), lenient=True)
     try:
-        _require_readable(path)
+        require_readable(path, _LARGEST)
         if path.suffix == PARQUET:
             return tuple(load_pyarrow().parquet.read_schema(path).names)
         return reader.head(_marked(path) or format.encoding).header
@@ -297,16 +305,6 @@ def _is_utf_8(path: Path) -> bool:
             decoder.decode(block)
         return True
     return False
-
-
-def _require_readable(path: Path) -> None:
-    if not path.is_file():
-        raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
-    if (size := path.stat().st_size) > _LARGEST:
-        raise DataError(
-            f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-            "columns and rows that are needed"
-        )
 
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}

@@ -400,7 +400,7 @@ def cosimulate(
         monitors=setup.monitors,
         monitored_bands=setup.monitored_bands,
         substeps=setup.substeps,
-        intersample_signals=tuple(plant.outputs[i] for i in setup.intersample) if setup.substeps > 1 else (),
+        intersample_signals=tuple(plant.outputs[i] for i in setup.intersample),
     )
 
 

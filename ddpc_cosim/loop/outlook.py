@@ -49,12 +49,18 @@ def table_widths(
 
 
 def intersample_signals(
+    substeps: int,
     outputs: Sequence[str],
     prices: Mapping[str, Price],
     monitors: Mapping[str, Band | None],
     inputs: Collection[str],
 ) -> tuple[str, ...]:
-    """Return which outputs are read between samples: those that are controlled, charged or monitored."""
+    """Return which outputs are read between samples: those that are controlled, charged or monitored.
+
+    None are where the plant is advanced in one step.
+    """
+    if substeps == 1:
+        return ()
     charged = (price.signal for price in prices.values() if price.signal not in inputs)
     return tuple(dict.fromkeys((*outputs, *charged, *monitors)))
 

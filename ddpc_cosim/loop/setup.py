@@ -341,7 +341,7 @@ class LoopSetup:
         self._given_bounds = _checked_bounds(self.inputs, self.outputs, bounds or {})
         seen = (*self.inputs, *self.outputs, *self.measurements, *self.disturbances.inputs)
         self.charged = ChargedSignals(prices or {}, plant, seen, self._is_left)
-        between = intersample_signals(controlled, prices or {}, self._monitors, given)
+        between = intersample_signals(self.substeps, controlled, prices or {}, self._monitors, given)
         self.intersample = np.array([available.index(name) for name in between], dtype=np.intp)
         self._check_conditions(conditions)
         self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)

@@ -721,8 +721,7 @@ def row_store(case: Case, path: Path | None = None, *, follow: bool = False) -> 
 
 
 def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool = False) -> RowStore:
-    between = (communication_steps(case.sampling_time, case.communication_step) - 1) * len(_intersample(case))
-    sizes = len(case.inputs), len(case.outputs), between
+    sizes = len(case.inputs), len(case.outputs), (_substeps(case) - 1) * len(_intersample(case))
     return RowStore(
         samples,
         *(len(case.outputs), len(case.measurements), len(case.inputs)),
@@ -733,10 +732,14 @@ def _store(case: Case, samples: int, path: Path | None = None, *, follow: bool =
     )
 
 
+def _substeps(case: Case) -> int:
+    return communication_steps(case.sampling_time, case.communication_step)
+
+
 def _intersample(case: Case) -> tuple[str, ...]:
-    """Return the outputs that are read between samples, where anything is."""
+    """Return the outputs that are read between samples."""
     inputs = names((*case.inputs, *case.undriven))
-    return intersample_signals(names(case.outputs), case.prices, case.monitors, inputs)
+    return intersample_signals(_substeps(case), names(case.outputs), case.prices, case.monitors, inputs)
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
@@ -773,8 +776,8 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
         charges=tuple(price.charge(name, case.variable(price.signal)) for name, price in case.prices.items()),
         monitors=tuple(map(case.variable, case.monitors)),
         monitored_bands=tuple(name for name, band in case.monitors.items() if band is not None),
-        substeps=(substeps := communication_steps(case.sampling_time, case.communication_step)),
-        intersample_signals=tuple(map(case.variable, _intersample(case))) if substeps > 1 else (),
+        substeps=_substeps(case),
+        intersample_signals=tuple(map(case.variable, _intersample(case))),
     )
 
 

@@ -49,7 +49,9 @@ def test_mpc_pays_less_than_the_own_control_at_no_more_discomfort(study: dict[st
         for metric in (MONEY, DISCOMFORT):
             assert mean_of(study[day], "mpc", metric) < mean_of(study[day], "plant", metric)
         findings = findings_of(study[day].study, study[day].cases)
-        assert set(findings.leaders) <= {"koopman-mpc", "mpc"}
+        # What MPC saves around the coldest day is less than the 1 % from which on a difference matters.
+        assert "mpc" in findings.leaders
+        assert set(findings.leaders) <= {"koopman-mpc", "mpc", "plant"}
 
 
 def test_koopman_mpc_pays_less_around_the_typical_day_alone(study: dict[str, StudyResults]) -> None:

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from ddpc_cosim import Identification
 from ddpc_cosim.identification import specification
 from ddpc_cosim.identification.specification import IdentifiedSpec
+from ddpc_cosim.identification.summary import identified_data, identified_lines
 
 
 def log(path: Path, seed: int = 0) -> Path:
@@ -67,3 +68,26 @@ def test_where_nothing_can_be_cached_models_are_found_all_the_same(
     first, again = (anew(log(tmp_path / "log.csv", 2)) for _ in range(2))
     assert len(searches) == 2
     assert gains_of(again) == gains_of(first)
+
+
+def test_time_constants_and_periods_are_those_of_the_plants_poles(tmp_path: Path) -> None:
+    h, slow, swings = 0.5, 0.97, 0.9 * np.exp(0.6j)
+    rng = np.random.default_rng(5)
+    u, e = rng.uniform(-1.0, 1.0, 3000), 0.01 * rng.standard_normal(3000)
+    y = lfilter([1.0], np.poly([slow, swings, swings.conjugate()]).real, np.append(0.0, u[:-1]) + e)
+    table = np.column_stack([h * np.arange(3000), u, y])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="time,u,y", comments="")
+    identification = Identification(file=[str(tmp_path / "log.csv")], method="arx", order=3, members=20)
+    built = IdentifiedSpec(identification, ("u",), ("y",)).built()
+    data = identified_data(built)
+    first, second = data["poles"]
+    assert first["period"] is None
+    for found, true in (
+        (first["time_constant"], -h / np.log(slow)),
+        (second["time_constant"], -h / np.log(0.9)),
+        (second["period"], 2.0 * np.pi * h / 0.6),
+    ):
+        assert found["value"] == pytest.approx(true, rel=0.02)
+        assert found["low"] < found["value"] < found["high"] < 1.1 * found["low"]
+    (line,) = (line for line in identified_lines(built, data) if line.startswith("further time constant"))
+    assert ", period 5.2" in line
