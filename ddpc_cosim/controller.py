@@ -439,11 +439,16 @@ class ControllerCode:
         applies at this sample, and comes back finite and within the bounds. The step after it goes on as a
         controller does that was started with these samples as :attr:`Loop.past`. The first call after a
         step, or after the start, begins a new past.
+    numbers : array, shape (n,)
+        What ``controller.h`` then declares ``void controller_load(const double numbers[])`` for: it is to be
+        called before the start. Code whose numbers stand apart is the same for all recordings that have
+        given a law of the same size. Empty: all of it is in the code.
     """
 
     sources: Mapping[str, str]
     statuses: Mapping[int, str]
     follows: bool = False
+    numbers: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
 
 
 def further_arguments(loop: Loop, horizon: int) -> dict[str, tuple[int, ...]]:
@@ -675,6 +680,13 @@ class Controller(ABC):
             It cannot be exported, and why.
         """
         raise ConfigError(f"{type(self).__name__} cannot be exported: its class has no c_code()")
+
+    def loadable_c_code(self, loop: Loop) -> ControllerCode:
+        """Return the same code with its numbers apart, so that it need not be compiled for each recording.
+
+        Parameters and errors as of :meth:`c_code`. Default: all numbers are in the code.
+        """
+        return self.c_code(loop)
 
     def warnings(self) -> Sequence[str]:
         """Return what speaks against the recording or the model that it has got; valid after ``start``.

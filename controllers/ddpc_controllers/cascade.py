@@ -185,7 +185,7 @@ class Cascade(Wrapper):
             outer, code = Inner(self.outer), Code()
             outer.start(replace(loop, inputs=inputs, rng=deepcopy(loop.rng)))
             inner_step(outer.controller, code, loop)
-            return code.parts, np.array(code.start)
+            return code.texts(), np.array(code.start)
 
         constants, start = started(np.zeros(len(rest)))
         slopes = np.zeros((len(start), len(rest)))

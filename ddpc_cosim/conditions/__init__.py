@@ -19,8 +19,10 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.conditions.condition import Condition, ConditionSetup, Place
 from ddpc_cosim.errors import ConfigError
@@ -247,6 +249,55 @@ def _effects(
     return effects
 
 
+class ActuatorTables(NamedTuple):
+    """What the actuators do in a run of K samples.
+
+    Parameters
+    ----------
+    driven, others, changed : array of int
+        Places among all inputs: of those that a controller drives, of the others, and of those that the plant
+        may be given otherwise than they are commanded.
+    effects : sequence of Condition
+        What is done to the driven ones, in this order.
+    added : array, shape (K, m), or None
+        What is added to them after that.
+    own : array, shape (K, len(others))
+        The others.
+    """
+
+    driven: NDArray[np.intp]
+    others: NDArray[np.intp]
+    changed: NDArray[np.intp]
+    effects: Sequence[Condition]
+    added: FloatArray | None
+    own: FloatArray
+
+
+class SensorTables(NamedTuple):
+    """What is added to the outputs in a run of K samples, and what the sensors make of them.
+
+    Parameters
+    ----------
+    added : array, shape (K, all outputs), or None
+        What is added to the outputs.
+    before_noise, after_noise : sequence of Condition
+        What is done to them, in this order.
+    noise : array, shape (rows, n), or None
+        What is added to the first n of them in between.
+    loses : bool
+        Whether one of them can be NaN then.
+    holds : bool
+        Whether the last value that arrived stands in for it.
+    """
+
+    added: FloatArray | None
+    before_noise: Sequence[Condition]
+    noise: FloatArray | None
+    after_noise: Sequence[Condition]
+    loses: bool
+    holds: bool
+
+
 class Actuators:
     """What the plant is given: commanded inputs after rate limit, delay and disturbance, and other signals.
 
@@ -316,6 +367,11 @@ class Actuators:
     def changed(self, applied: FloatArray) -> FloatArray:
         """Return the columns of :func:`changed_inputs` among all inputs."""
         return applied[self._changed]
+
+    def tables(self) -> "ActuatorTables":
+        """Return what :meth:`apply` goes by in the run that has been started."""
+        driven, others = np.flatnonzero(self._is_driven), np.flatnonzero(~self._is_driven)
+        return ActuatorTables(driven, others, self._changed, self._acting, self._added, self._own)
 
 
 class Sensors:
@@ -390,6 +446,15 @@ class Sensors:
         lost = np.isnan(y)
         self._seen = y = np.where(lost, self._seen if self.holds and lost.any() else np.nan, y)
         return y, HELD if self.holds and lost.any() else ""
+
+    def tables(self, rows: int) -> SensorTables:
+        """Return what :meth:`disturb` and :meth:`measure` go by at the next so many samples, noise drawn."""
+        noise = None
+        if self._is_noisy:
+            noise = self._deviation * self._rng.standard_normal((rows, len(self._deviation)))
+        return SensorTables(
+            self._added, self._before_noise, noise, self._after_noise, self._loses, self.holds
+        )
 
 
 def _parts(signal: Disturbance) -> Sequence[Reference]:

@@ -19,6 +19,9 @@ class Backlash(Condition):
     order = 10
     value = SettingInfo("width of the play between each input and the plant", low=0, unit=SIGNAL)
     words = "backlash of {name}, width {value}"
+    c_code = """
+memory[0] = fmin(fmax(memory[0], value - given / 2.0), value + given / 2.0);
+return memory[0];"""
 
     def start(self, time: FloatArray, rest: FloatArray | None) -> None:
         """Begin at rest, in the middle of the play, or go on."""
@@ -30,3 +33,7 @@ class Backlash(Condition):
         half = self.setup.values / 2.0
         self._position = np.clip(self._position, values - half, values + half)
         return self._position
+
+    def in_c(self) -> tuple[FloatArray, FloatArray]:
+        """Return the widths, and where the plant's side is."""
+        return self.setup.values, self._position[:, np.newaxis].copy()

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import ClassVar, Literal, NamedTuple
 
+import numpy as np
+
 from ddpc_cosim.settings import SIGNAL, SettingInfo
 from ddpc_cosim.variables import FloatArray
 
@@ -61,6 +63,13 @@ class Condition(ABC):
     loses: ClassVar[bool] = False
     """Whether what it returns can be NaN: a measurement that is lost."""
 
+    c_code: ClassVar[str] = ""
+    """What it does to one signal in C, for loops that are compiled: statements that end with a ``return``.
+
+    They have its ``value`` at the sample of number ``k``, and its number ``given`` and ``memory`` as
+    :meth:`in_c` returns them. Empty: loops with it run in Python.
+    """
+
     def __init__(self, setup: ConditionSetup) -> None:
         self.setup = setup
 
@@ -78,6 +87,18 @@ class Condition(ABC):
         rest : array, shape (len(signals),), or None
             Where the signals are before the run; NaN: not known. None: the run goes on from where it is.
         """
+
+    def in_c(self) -> tuple[FloatArray, FloatArray]:
+        """Return what ``c_code`` has of each signal once a run has started, in new memory.
+
+        Returns
+        -------
+        given : array, shape (len(signals),)
+            Its number; default: as it was given.
+        memory : array, shape (len(signals), n)
+            What it remembers, or has drawn; default: nothing.
+        """
+        return self.setup.values, np.empty((len(self.setup.values), 0))
 
     @classmethod
     def allowed(cls) -> str:

@@ -22,6 +22,15 @@ class Delay(Condition):
     order = -10
     value = SettingInfo("by how much an input acts, or a measurement arrives, late", low=0, unit="s")
     words = "delay of {name} {value}"
+    c_code = """
+const size_t length = (size_t)given + 1, count = (size_t)memory[0];
+double *const past = memory + 1;
+if (isnan(past[0])) {
+    for (size_t i = 0; i < length; ++i) past[i] = value;
+}
+past[count % length] = value;
+memory[0] = (double)(count + 1);
+return past[(count + 1) % length];"""
 
     def __init__(self, setup: ConditionSetup) -> None:
         super().__init__(setup)
@@ -50,6 +59,13 @@ class Delay(Condition):
         delayed: FloatArray = self._past[(self._count - self._samples) % length, self._columns]
         self._count += 1
         return delayed
+
+    def in_c(self) -> tuple[FloatArray, FloatArray]:
+        """Return by how many samples each is late, and a count of samples with the values at rest."""
+        values = np.full(len(self._past[0]), np.nan) if self._is_empty else self._past[0]
+        memory = np.repeat(values[:, np.newaxis], len(self._past) + 1, axis=1)
+        memory[:, 0] = 0.0
+        return self._samples.astype(np.float64), memory
 
     @classmethod
     def fault_of(cls, value: float, sampling_time: float, steps: float = math.inf, run: str = "run") -> str:

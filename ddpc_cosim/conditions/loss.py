@@ -21,6 +21,7 @@ class Loss(Condition):
     words = "samples of {name} lost with a probability of {value}"
     in_experiments = False
     loses = True
+    c_code = "return memory[k] != 0.0 ? NAN : value;"
 
     def start(self, time: FloatArray, rest: FloatArray | None) -> None:
         """Draw what is lost."""
@@ -33,6 +34,10 @@ class Loss(Condition):
     def apply(self, k: int, values: FloatArray) -> FloatArray:
         """Return NaN for what is lost."""
         return np.where(self._lost[k], np.nan, values)
+
+    def in_c(self) -> tuple[FloatArray, FloatArray]:
+        """Return the probabilities, and what is lost."""
+        return self.setup.values, self._lost.T.astype(np.float64)
 
     @classmethod
     def allowed(cls) -> str:

@@ -14,6 +14,7 @@ class Quantum(Condition):
     order = 10
     value = SettingInfo("what each measurement is rounded to integer multiples of", above=0, unit=SIGNAL)
     words = "{name} rounded to multiples of {value}"
+    c_code = "return rint(value / given) * given;"
 
     def __init__(self, setup: ConditionSetup) -> None:
         super().__init__(setup)

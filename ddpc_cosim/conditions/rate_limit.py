@@ -17,6 +17,9 @@ class RateLimit(Condition):
     value = SettingInfo("largest change of each input per second", above=0, unit=SIGNAL)
     words = "rate limit of {name} {value} per second"
     neutral = math.inf
+    c_code = """
+memory[0] = fmin(fmax(value, memory[0] - given), memory[0] + given);
+return memory[0];"""
 
     def __init__(self, setup: ConditionSetup) -> None:
         super().__init__(setup)
@@ -31,3 +34,7 @@ class RateLimit(Condition):
         """Return the inputs as near to what is commanded as they come."""
         self._position = np.clip(values, self._position - self._reach, self._position + self._reach)
         return self._position
+
+    def in_c(self) -> tuple[FloatArray, FloatArray]:
+        """Return the largest changes in a sampling interval, and where the inputs are."""
+        return self._reach, self._position[:, np.newaxis].copy()

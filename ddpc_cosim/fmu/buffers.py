@@ -163,6 +163,17 @@ class Port:
             y[block.positions] = block.numbers()
         return y
 
+    def references(self, function: str) -> NDArray[np.uint32] | None:
+        """Return the value references of numbers that a getter or setter of this name moves, one each.
+
+        None: it takes more than a call of that, or they lie otherwise.
+        """
+        block = self._whole
+        if block is None or function not in (block.names.get, block.names.set):
+            return None
+        references = np.ctypeslib.as_array(block.get.args[1])  # type: ignore[attr-defined]
+        return references if len(references) == len(block.values) else None
+
     def fetch(self) -> None:
         """Read what the FMU has, so that elements of arrays that are not written keep their values."""
         for block in self._blocks:

@@ -1,7 +1,10 @@
 """One run of an FMU for Co-Simulation: hold the inputs, do the step, read the outputs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
@@ -9,6 +12,40 @@ from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.instance import Slave
 from ddpc_cosim.fmu.run import FMURun, T
 from ddpc_cosim.variables import FloatArray
+
+
+class StepInC(NamedTuple):
+    """What C code needs to advance an initialised slave as :meth:`CoSimulationRun.step` does.
+
+    Parameters
+    ----------
+    version : int
+        Of FMI: 2 or 3.
+    set_values, do_step, get_values : int
+        Addresses of the functions.
+    instance : int
+        That of the slave.
+    inputs, outputs : array of uint32
+        Value references of what is written before and read after every step.
+    base_time, step_size : float
+        Step i begins at ``base_time + i * step_size`` [s].
+    steps : int
+        How many have been done.
+    steps_per_sample : int
+        How many make a sample.
+    """
+
+    version: int
+    set_values: int
+    do_step: int
+    get_values: int
+    instance: int
+    inputs: NDArray[np.uint32]
+    outputs: NDArray[np.uint32]
+    base_time: float
+    step_size: float
+    steps: int
+    steps_per_sample: int
 
 
 class CoSimulationRun(FMURun):
@@ -46,6 +83,7 @@ class CoSimulationRun(FMURun):
             self._do_step = self._step_between_ticks
         self._substeps_of = substeps_of
         self._sample, self._substeps = 0.0, 1
+        self._ports, self._has_clocks = (inputs, outputs), bool(clocks)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -57,6 +95,41 @@ class CoSimulationRun(FMURun):
         if self._substeps > 1:
             self._do_other_substeps()
         return self._read()
+
+    def in_c(self, h: float) -> StepInC | None:
+        """Return what C code needs to step by h [s]; None: there is more to a step than its three calls.
+
+        What it has done then is to be told by :meth:`advanced`.
+        """
+        slave = self._slave
+        if slave.uses_event_mode or self._has_clocks or slave.functions_of_a_step is None:
+            return None
+        if h != self._sample:
+            self._change_step_size(h)
+        set_values, do_step, get_values = slave.functions_of_a_step
+        inputs, outputs = (
+            port.references(name) for port, name in zip(self._ports, (set_values, get_values), strict=True)
+        )
+        set_address, step_address, get_address = map(slave.address, slave.functions_of_a_step)
+        if inputs is None or outputs is None or not (set_address and step_address and get_address):
+            return None
+        return StepInC(
+            slave.major,
+            set_address,
+            step_address,
+            get_address,
+            slave.component,
+            inputs,
+            outputs,
+            self._base_time,
+            self._step_size,
+            self._steps,
+            self._substeps,
+        )
+
+    def advanced(self, steps: int) -> None:
+        """Take note of how many steps have been done in all."""
+        self._steps = steps
 
     @property
     def end_of_sample(self) -> float:

@@ -96,6 +96,8 @@ def _characters(memory: Any) -> Any:
 class Fmi2Slave(_Fmi2, Slave):
     """An FMI 2.0 Co-Simulation instance."""
 
+    functions_of_a_step = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
+
     def __init__(self, source: InstanceSource) -> None:
         super().__init__(source)
         self._do_step = partial(self.function("fmi2DoStep"), self.component)

@@ -125,6 +125,8 @@ class Fmi3Slave(_Fmi3, Slave):
         Whether inputs are set in event mode, which discrete ones and clocks need where the FMU has it.
     """
 
+    functions_of_a_step = ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")
+
     def __init__(self, source: InstanceSource, *, event_mode: bool) -> None:
         super().__init__(source, eventModeUsed=event_mode, earlyReturnAllowed=event_mode)
         self.uses_event_mode = event_mode

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.fmu.description.variable_types import TYPES
+from ddpc_cosim.fmu.call_trace import TracedFunction
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.status import FATAL, SUCCESS, CallError, Log, failed_call
 
@@ -142,6 +143,13 @@ class Instance(ABC):
         function: CFunction = self._fmu._functions[name]
         return function
 
+    def address(self, name: str) -> int:
+        """Return where a function of the library is; 0 where it is not there, or its calls are traced."""
+        function: Any = self.function(name)
+        if is_missing(function) or isinstance(function, TracedFunction):
+            return 0
+        return ctypes.cast(function, ctypes.c_void_p).value or 0
+
     def call(self, name: str, *arguments: Any) -> None:
         """Call a function of this instance.
 
@@ -263,6 +271,8 @@ class Slave(Instance):
 
     uses_event_mode = False
     """Whether inputs are written within ``in_event_mode``."""
+    functions_of_a_step: tuple[str, str, str] | None = None
+    """What real inputs are written with, what does a step, and what reads real outputs; None: not so simple."""
 
     def in_event_mode(self, change: Callable[[], None]) -> None:
         """Set inputs, parameters or clocks in event mode; only FMI 3.0 has one for Co-Simulation."""

@@ -17,6 +17,7 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.fmu.archive import UnpackLimits
+from ddpc_cosim.fmu.co_simulation import StepInC
 from ddpc_cosim.fmu.companions import Companions
 from ddpc_cosim.fmu.description import Clock, FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.driven import DrivenRun
@@ -250,6 +251,14 @@ class FMUPlant(Plant):
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         return self._step(u, h)
+
+    def in_c(self, h: float, loop: Callable[[StepInC], tuple[T, int]]) -> T | None:
+        """Let C code step the FMU by h [s] at a time: a function that returns its result and the steps done.
+
+        None: it lives in another process, or takes more than a call each for inputs, step and outputs.
+        """
+        session = self._session
+        return session.call(FMUSession.in_c, h, loop) if isinstance(session, FMUSession) else None
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""

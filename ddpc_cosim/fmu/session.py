@@ -22,7 +22,7 @@ from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
-from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
+from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepInC, StepSizes
 from ddpc_cosim.fmu.companions import Companions, find_companions
 from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
 from ddpc_cosim.fmu.description.reader import read_description
@@ -286,6 +286,18 @@ class FMUSession:
             if before is not None or not is_usual():
                 self._arithmetic.put_back(before)
                 self._tell_change()
+
+    def in_c(self, h: float, loop: Callable[[StepInC], tuple[T, int]]) -> T | None:
+        """Let C code step the FMU by h [s] at a time: a function that returns its result and the steps done.
+
+        None: this FMU takes more than that.
+        """
+        run = self._started("in_c")
+        if not isinstance(run, CoSimulationRun) or (step := run.in_c(h)) is None:
+            return None
+        result, steps = loop(step)
+        run.advanced(steps)
+        return result
 
     def _last_outputs(self, run: FMURun, h: float, error: CallError) -> FloatArray:
         """Return the outputs where the FMU ended at the end of a step; raise the error if it did not."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from math import inf
 from types import MappingProxyType
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
@@ -102,6 +102,57 @@ class Resumption(NamedTuple):
     changed: Mapping[str, ParameterValue] = MappingProxyType({})
 
 
+class Run(NamedTuple):
+    """A run that is about to begin: what an engine other than this module's own loop has to know of it.
+
+    Parameters
+    ----------
+    setup : LoopSetup
+        The loop, whose actuators and sensors have been started.
+    controller : Controller
+        The controller, which has been started.
+    loop : Loop
+        What it was started with.
+    outlook : Outlook
+        What it may look at.
+    store : RowStore
+        Where the rows go.
+    seen : array, shape (K, p), or None
+        Where controlled outputs go as they are seen, if these are wanted.
+    y_plant : array
+        The plant's outputs.
+    first : int
+        The number of its first sample since the plant was set up.
+    """
+
+    setup: LoopSetup
+    controller: Controller
+    loop: Loop
+    outlook: Outlook
+    store: RowStore
+    seen: FloatArray | None
+    y_plant: FloatArray
+    first: int
+
+
+class RunOfEngine(Protocol):
+    """A run in another engine."""
+
+    def advance(self, begin: int, end: int, *, hold_last: bool) -> FloatArray:
+        """Run rows from ``begin`` up to and without ``end``; return the plant's outputs then.
+
+        After the last of them the plant is advanced too where it is to hold the inputs.
+        """
+
+
+Engine = Callable[[Run], RunOfEngine | None]
+"""Takes up a run, or returns None, and the run is made here."""
+
+
+class NeedsPythonError(Exception):
+    """An engine has to give up a loop that it has taken up: it is to be run without one, from its beginning."""
+
+
 _NOTHING: FloatArray = np.empty(0)
 EARLY = 1e-6
 """How far a sample time can lie before the instant it stands for, in sampling times."""
@@ -160,6 +211,7 @@ def cosimulate(
     resumed: Resumption | None = None,
     keeps_state: bool = False,
     store: RowStore | None = None,
+    engine: Engine | None = None,
 ) -> Trace:
     """Run one closed loop of a plant and a controller.
 
@@ -235,6 +287,9 @@ def cosimulate(
         the plant is told no stop time.
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
+    engine : callable, optional
+        What computes the samples where it can, such as :func:`ddpc_cosim.compiled.engine.begin`, with the
+        same results but for times of steps and what controllers tell of them; default: this loop.
 
     Returns
     -------
@@ -305,7 +360,7 @@ def cosimulate(
         onwards = duration if continue_recording else 0.0
         run = (start_time, end)
         experiment = _experiment(
-            setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run
+            setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run, engine
         )
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
@@ -359,7 +414,7 @@ def cosimulate(
     if conditions is not None and conditions.loses:
         setup.hand_over(accepts_missing=does_accept_missing(controller))
     rows.look(setup.outlook(wish, limits, time, first, samples, horizon, loop.preview))
-    outcome, reason, transient = _closed_loop(setup, controller, rows, y_plant, events, first)
+    outcome, reason, transient = _closed_loop(setup, controller, loop, rows, y_plant, events, first, engine)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
     except ControllerError as error:
@@ -497,7 +552,8 @@ class ExcitingController(Controller):
     """
 
     def __init__(self, excitation: FloatArray, stabiliser: Controller | None) -> None:
-        self._excitation, self._stabiliser = excitation, stabiliser
+        self.excitation, self._stabiliser = excitation, stabiliser
+        self.is_stabilised = stabiliser is not None
         self.horizon = 0 if stabiliser is None else horizon_of(stabiliser)
         self.fallbacks = 0
 
@@ -511,7 +567,7 @@ class ExcitingController(Controller):
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the excited inputs, shape (m,)."""
-        excitation: FloatArray = self._excitation[sample.k]
+        excitation: FloatArray = self.excitation[sample.k]
         if self._stabiliser is None:
             return excitation
         u, status, *_ = ask_controller(self._stabiliser, sample, len(excitation))
@@ -567,7 +623,7 @@ def _warm_up(
     rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
-    y_plant = _run_before(setup, controller, rows, y_plant, "warm-up")
+    y_plant = _run_before(setup, controller, loop, rows, y_plant, "warm-up")
     return _Stretch(rows.recording(), y_plant)
 
 
@@ -580,6 +636,7 @@ def _experiment(
     begin: float | None,
     onwards: float = 0.0,
     run: tuple[float, float] | None = None,
+    engine: Engine | None = None,
 ) -> _Stretch:
     """Excite a plant from its initial state and record it.
 
@@ -591,6 +648,8 @@ def _experiment(
         How long the plant is used afterwards [s].
     run : (float, float), optional
         When the run is that learns from it [s], whose own disturbances it must not have.
+    engine : callable, optional
+        As of :func:`cosimulate`.
     """
     plant, sampling_time = setup.plant, setup.sampling_time
     if faults := sampling_faults(excitation, sampling_time):
@@ -619,16 +678,24 @@ def _experiment(
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     kind = "open-loop" if stabiliser is None else "closed-loop"
-    y_plant = _run_before(setup, exciting, rows, y_plant, "experiment", f"{kind} experiment")
+    what = "experiment", f"{kind} experiment"
+    y_plant = _run_before(setup, exciting, loop, rows, y_plant, *what, engine=engine)
     return _Stretch(rows.recording(), y_plant, exciting.fallbacks)
 
 
 def _run_before(
-    setup: LoopSetup, controller: Controller, rows: "_Rows", y_plant: FloatArray, what: str, kind: str = ""
+    setup: LoopSetup,
+    controller: Controller,
+    loop: Loop,
+    rows: "_Rows",
+    y_plant: FloatArray,
+    what: str,
+    kind: str = "",
+    engine: Engine | None = None,
 ) -> FloatArray:
     """Run what comes before the closed loop, whose faults are errors; return the plant's outputs after it."""
     try:
-        return _run(setup, controller, rows, y_plant, hold_last=True)
+        return _run(setup, controller, loop, rows, y_plant, hold_last=True, engine=engine)
     except NotFiniteError as error:
         when = f"at t = {shown(rows.next_time)}"
         raise DivergenceError(f"the plant diverged during the {kind or what}, {when}: {error}") from error
@@ -670,6 +737,7 @@ class _Rows:
             len(time), *columns, changed_inputs=len(setup.changed_inputs), more=widths
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
+        self._seen_elsewhere: FloatArray | None = None
         self._forecast = self.store.more.get("forecast")
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
@@ -695,6 +763,13 @@ class _Rows:
             self.store.more[name][:] = tables[name][:count]
         if self._forecast is not None:
             self._forecast[:] = np.nan
+
+    def run(self, controller: Controller, loop: Loop, y_plant: FloatArray, first: int) -> Run:
+        """Return the run that is about to begin, for another engine."""
+        self._seen_elsewhere = None if self._seen is None else np.empty_like(self.store.y)
+        return Run(
+            self._setup, controller, loop, self.outlook, self.store, self._seen_elsewhere, y_plant, first
+        )
 
     @property
     def count(self) -> int:
@@ -764,7 +839,10 @@ class _Rows:
 
     def recording(self) -> Recording:
         """Return the rows as a recording, of all disturbances."""
-        seen, d = map(np.array, zip(*self._seen or (), strict=True))
+        if not self._seen and self._seen_elsewhere is not None:
+            seen, d = self._seen_elsewhere, np.empty((len(self._seen_elsewhere), 0))
+        else:
+            seen, d = map(np.array, zip(*self._seen or (), strict=True))
         return Recording(self.store.u, seen, self.store.measured, self._setup.sampling_time, d=d)
 
     def written(self) -> dict[str, Any]:
@@ -775,17 +853,19 @@ class _Rows:
 def _closed_loop(
     setup: LoopSetup,
     controller: Controller,
+    loop: Loop,
     rows: _Rows,
     y_plant: FloatArray,
     events: Sequence[ParameterChange],
     first: int,
+    engine: Engine | None,
 ) -> tuple[Outcome, str, bool]:
     """Run to the end and return how it ended, why, and whether that is the machine's fault.
 
     Faults during the run are outcomes, not exceptions.
     """
     try:
-        _run(setup, controller, rows, y_plant, events=events, first=first)
+        _run(setup, controller, loop, rows, y_plant, events=events, first=first, engine=engine)
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
@@ -802,12 +882,14 @@ def _closed_loop(
 def _run(
     setup: LoopSetup,
     controller: Controller,
+    loop: Loop,
     rows: _Rows,
     y_plant: FloatArray,
     *,
     events: Sequence[ParameterChange] = (),
     hold_last: bool = False,
     first: int = 0,
+    engine: Engine | None = None,
 ) -> FloatArray:
     """Run sample by sample and return the plant's last outputs: those of the last row, or after it.
 
@@ -816,9 +898,15 @@ def _run(
     plant, h, last = setup.plant, setup.communication_step, len(rows.time) - 1
     pending = deque(sorted(events, key=lambda event: event.time))
     require_finite(y_plant, plant)
+    elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
     for k, time in enumerate(rows.time):
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
+        if elsewhere is not None:
+            if k == rows.count:
+                end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
+                y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
+            continue
         applied = rows.write(k, first, controller, y_plant)
         if k < last or hold_last:
             for i in range(setup.substeps):
@@ -827,3 +915,9 @@ def _run(
                 if i + 1 < setup.substeps:
                     rows.write_between(k, i, y_plant)
     return y_plant
+
+
+def _rows_before(time: float, k: int, rows: _Rows, sampling_time: float) -> int:
+    """Return the number of the first row after k at which a change of this time [s] is due."""
+    due = np.flatnonzero(rows.time[k + 1 :] + EARLY * sampling_time >= time)
+    return k + 1 + int(due[0]) if due.size else len(rows.time)

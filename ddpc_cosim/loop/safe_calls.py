@@ -374,6 +374,12 @@ def controller_code(controller: Controller, loop: Loop) -> ControllerCode:
         return controller.c_code(loop)
 
 
+def loadable_controller_code(controller: Controller, loop: Loop) -> ControllerCode:
+    """Return the same with its numbers apart."""
+    with _ControllerCall(controller, "loadable_c_code", allowed=CosimError):
+        return controller.loadable_c_code(loop)
+
+
 def controller_diagnostics(controller: Controller) -> dict[str, float]:
     """Return what a controller says about its data or model, in numbers."""
     with _ControllerCall(controller, "diagnostics"):

@@ -1,7 +1,7 @@
 """What a loop is made of, checked before its first sample: times, signals, noise, limits, references."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 from numbers import Integral, Real
@@ -9,8 +9,16 @@ from types import NoneType
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, may_have
+from ddpc_cosim.conditions import (
+    Actuators,
+    Conditions,
+    Sensors,
+    SensorTables,
+    changed_inputs,
+    may_have,
+)
 from ddpc_cosim.controller import Controller, Loop, Recording
 from ddpc_cosim.description import applied_output
 from ddpc_cosim.errors import ConfigError, DataError
@@ -465,6 +473,20 @@ class LoopSetup:
     def hand_over(self, *, accepts_missing: bool) -> None:
         """Go on with a controller that is shown NaN for a lost measurement, or the last one that arrived."""
         self._sensors.holds = not accepts_missing
+
+    def sensor_tables(self, rows: int) -> SensorTables:
+        """Return what sensors do at the next so many samples of the run that has been started."""
+        return self._sensors.tables(rows)
+
+    @property
+    def effects(self) -> Collection[str]:
+        """The kinds of conditions that actuators and sensors have."""
+        return self._conditions.effects
+
+    @property
+    def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Where controlled outputs and measurements stand among the plant's outputs, shapes (p,) and (q,)."""
+        return self._outputs, self._measured
 
     @property
     def has_switches(self) -> bool:

@@ -8,7 +8,7 @@ import mmap
 import os
 import stat
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -193,6 +193,15 @@ class RowStore:
             self._add(status)
         self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
         self.applied[k] = applied
+
+    def take(self, begin: int, end: int, statuses: Sequence[str]) -> None:
+        """Complete rows that have been filled in: from ``begin`` up to and without ``end``."""
+        for status in dict.fromkeys(statuses):
+            if status not in self._texts:
+                self._add(status)
+        self._status[begin:end] = [self._texts[status] for status in statuses]
+        self.solve_time[begin:end] = np.nan
+        self._numbers_of[_ROWS] = end
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was begun, as a trace names them."""

@@ -56,13 +56,20 @@ class Exportable(Controller):
         ConfigError
             With these settings it cannot be exported, and why.
         """
+        return self._whole_code(loop)
+
+    def loadable_c_code(self, loop: Loop) -> ControllerCode:
+        """Return the same code with its numbers apart; errors as of :meth:`c_code`."""
+        return self._whole_code(loop, apart=True)
+
+    def _whole_code(self, loop: Loop, *, apart: bool = False) -> ControllerCode:
         code, step = _parts_of(self, loop)
         rest = None
         if loop.past or loop.continues_recording:  # who is switched off and on again begins without this past
             fresh, at_rest = deepcopy(self), replace(loop, past=None, continues_recording=False)
             fresh.start(replace(at_rest, rng=deepcopy(loop.rng)))
             rest = _parts_of(fresh, at_rest)[0].start
-        return code.controller(step, self.horizon, loop, rest)
+        return code.controller(step, self.horizon, loop, rest, apart=apart)
 
     def c_step(self, code: "Code", loop: Loop) -> str:
         """Add the started controller to the code; return the name of its step function.
@@ -174,12 +181,65 @@ def qp_memory(unknowns: int) -> int:
     return 2 + 6 * unknowns + unknowns**2 + unknowns * (unknowns + 1) // 2
 
 
+class Table(NamedTuple):
+    """A constant table of numbers, which has a name in C."""
+
+    name: str
+    numbers: FloatArray
+
+    def written(self) -> str:
+        """Return it as a constant."""
+        values = [_double(number) for number in self.numbers.tolist()]
+        return f"static const double {self.name}[{len(values)}] = {{\n    {_in_rows(values)}}};"
+
+    def declared(self) -> str:
+        """Return it as memory that is yet to be filled."""
+        return f"static double {self.name}[{len(self.numbers)}];"
+
+    def loading(self) -> list[str]:
+        """Return statements that fill it from ``numbers``."""
+        count = len(self.numbers)
+        return [f"memcpy({self.name}, numbers, {count} * sizeof(double));", f"numbers += {count};"]
+
+
+class Structure(NamedTuple):
+    """A constant structure of a kernel's type: names of others, counts, and numbers."""
+
+    kind: str
+    name: str
+    members: Mapping[str, object]
+
+    @property
+    def numbers(self) -> FloatArray:
+        """Its members that are numbers and no counts."""
+        return np.array([value for value in self.members.values() if isinstance(value, float)])
+
+    def written(self) -> str:
+        """Return it as a constant."""
+        return f"static const {self._with(self.members)}"
+
+    def declared(self) -> str:
+        """Return it with its numbers yet to be filled in."""
+        if not self.numbers.size:
+            return self.written()
+        return f"static {self._with({k: v for k, v in self.members.items() if not isinstance(v, float)})}"
+
+    def loading(self) -> list[str]:
+        """Return statements that fill its numbers in from ``numbers``."""
+        of_numbers = (field for field, value in self.members.items() if isinstance(value, float))
+        return [f"{self.name}.{field} = *numbers++;" for field in of_numbers]
+
+    def _with(self, members: Mapping[str, object]) -> str:
+        texts = ", ".join(f".{field} = {_member(value)}" for field, value in members.items())
+        return f"{self.kind} {self.name} = {{{texts}}};"
+
+
 class Code:
     """The parts of a controller's C code, in the order in which they were added.
 
     Attributes
     ----------
-    parts : list of str
+    parts : list of str, Table or Structure
         Constants and step functions.
     start : list of float
         What the memory begins with.
@@ -191,12 +251,12 @@ class Code:
     """
 
     def __init__(self) -> None:
-        self.parts: list[str] = []
+        self.parts: list[str | Table | Structure] = []
         self.start: list[float] = []
         self.ahead: Ahead | None = None
         self.follows = True
         self._kernels: list[str] = []
-        self._tables: dict[tuple[str, str], str] = {}
+        self._tables: dict[tuple[str, str | bytes], str] = {}
         self._count = 0
 
     def look_ahead(self, loop: Loop, horizon: int) -> None:
@@ -256,8 +316,8 @@ class Code:
 
     def doubles(self, values: ArrayLike) -> str:
         """Return the name of a constant table of numbers, row after row; NULL for none."""
-        flat = np.asarray(values, dtype=np.float64).ravel()
-        return self.table("double", [_double(value) for value in flat.tolist()])
+        flat = np.array(values, dtype=np.float64).ravel()
+        return self._once("double", flat.tobytes(), lambda name: Table(name, flat)) if flat.size else "NULL"
 
     def sizes(self, values: Iterable[int]) -> str:
         """Return the name of a constant table of sizes or indices (``size_t``); NULL for none."""
@@ -286,8 +346,7 @@ class Code:
             Its members: numbers, and names that other calls returned.
         """
         name = self._name(kind.lower())
-        members = ", ".join(f".{field} = {_member(value)}" for field, value in fields.items())
-        self.parts.append(f"static const {kind} {name} = {{{members}}};")
+        self.parts.append(Structure(kind, name, fields))
         return name
 
     def held(self, kind: str, *starts: ArrayLike) -> str:
@@ -325,7 +384,13 @@ class Code:
         return name
 
     def controller(
-        self, step: str, horizon: int, loop: Loop, rest: Sequence[float] | None = None
+        self,
+        step: str,
+        horizon: int,
+        loop: Loop,
+        rest: Sequence[float] | None = None,
+        *,
+        apart: bool = False,
     ) -> ControllerCode:
         """Return the whole code, given the step function of the outermost controller.
 
@@ -339,6 +404,8 @@ class Code:
             The loop it was started with.
         rest : sequence of float, optional
             What the memory has so far where the controller was started at rest; default: it was.
+        apart : bool
+            Whether its numbers stand apart from the code.
         """
         own = len(self.start)
         p, q, m = len(loop.outputs), len(loop.measurements), len(loop.inputs)
@@ -404,11 +471,14 @@ class Code:
                 *end,
             ]
         self.kernel("sample")
+        loaded = [part for part in self.parts if not isinstance(part, str)] if apart else []
+        if apart:
+            functions[_LOAD] = [line for part in loaded for line in part.loading()]
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
         parts = [
             "\n".join(f'#include "{name}"' for name in includes)
             + "\n\n#include <math.h>\n#include <stddef.h>\n#include <string.h>",
-            *self.parts,
+            *self.texts(apart=apart),
             _START.format(table=start),
             *(
                 f"{head}\n{{\n" + "\n".join(f"    {line}" for line in lines) + "\n}"
@@ -429,14 +499,22 @@ class Code:
                     u=_in_comment([variable.name for variable in loop.inputs]),
                     sampling_time=f"{loop.sampling_time!r} s",
                     preview=preview,
-                    follow=_FOLLOWS if self.follows else "",
+                    follow=(_FOLLOWS if self.follows else "") + (_LOADS if apart else ""),
                 ),
                 "controller.c": "\n\n".join(parts) + "\n",
                 **_runtime(self._kernels),
             },
             STATUSES,
             self.follows,
+            np.concatenate([np.empty(0), *(part.numbers for part in loaded)]),
         )
+
+    def texts(self, *, apart: bool = False) -> list[str]:
+        """Return the parts as C has them; apart: numbers are yet to be filled in."""
+        return [
+            part if isinstance(part, str) else part.declared() if apart else part.written()
+            for part in self.parts
+        ]
 
     def table(self, kind: str, values: Sequence[str]) -> str:
         """Return the name of a constant table of values of one type, as C has them; NULL for none.
@@ -445,12 +523,16 @@ class Code:
         """
         if not values:
             return "NULL"
-        rows = [", ".join(values[i : i + _WIDTH]) for i in range(0, len(values), _WIDTH)]
-        text = ",\n    ".join(rows)
-        if (kind, text) not in self._tables:
-            name = self._tables[kind, text] = self._name("table")
-            self.parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
-        return self._tables[kind, text]
+        text = _in_rows(values)
+        head = f"static const {kind}"
+        return self._once(kind, text, lambda name: f"{head} {name}[{len(values)}] = {{\n    {text}}};")
+
+    def _once(self, kind: str, content: str | bytes, make: Callable[[str], str | Table]) -> str:
+        """Return the name of a table, which is made of its name where there is none of the same values."""
+        if (kind, content) not in self._tables:
+            name = self._tables[kind, content] = self._name("table")
+            self.parts.append(make(name))
+        return self._tables[kind, content]
 
     def _name(self, kind: str) -> str:
         self._count += 1
@@ -492,6 +574,12 @@ _FOLLOWS = """
 unsigned controller_follow(ControllerState *state, const double y[], const double r[], double u[]);
 """
 
+_LOADS = """
+#define CONTROLLER_LOADS 1
+/* Fills in the numbers that stand apart from the code, of all states, before any is started. */
+void controller_load(const double numbers[]);
+"""
+
 _START = """void controller_start(ControllerState *state)
 {{
     memcpy(state->memory, {table}, sizeof(state->memory));
@@ -500,6 +588,7 @@ _START = """void controller_start(ControllerState *state)
 
 _STEP = "unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])"
 _FOLLOW = _STEP.replace("_step", "_follow")
+_LOAD = "void controller_load(const double numbers[])"
 
 
 def _runtime(kernels: Sequence[str]) -> dict[str, str]:
@@ -522,6 +611,10 @@ def _runtime(kernels: Sequence[str]) -> dict[str, str]:
 def _in_comment(names: Sequence[str]) -> str:
     """Return names as a comment in C may hold them."""
     return printable(", ".join(names)).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _in_rows(values: Sequence[str]) -> str:
+    return ",\n    ".join(", ".join(values[i : i + _WIDTH]) for i in range(0, len(values), _WIDTH))
 
 
 def _member(value: object) -> str:

@@ -1,0 +1,266 @@
+"""The compiled engine: the samples of a loop in C, where all that acts in it is known there."""
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import c_double, c_int64, c_void_p
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.compiled.program import NO_CONTROLLER, Program, effect_numbers, program_of
+from ddpc_cosim.conditions import HELD
+from ddpc_cosim.conditions.condition import Condition
+from ddpc_cosim.controller import OK, ControllerCode
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.fmu.co_simulation import StepInC
+from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.loop.master import ExcitingController, NeedsPythonError, Run
+from ddpc_cosim.loop.safe_calls import loadable_controller_code, require_finite
+from ddpc_cosim.variables import FloatArray, names
+
+_DONE, _PLANT_FAILED = 0, 1
+_OLDER = 1 << 31
+"""The bit of a status that the loop has besides those of the controller, as loop.h has it."""
+
+
+class _PlantCalls(ctypes.Structure):
+    _fields_ = [
+        ("version", c_int64),
+        ("set_values", c_void_p),
+        ("do_step", c_void_p),
+        ("get_values", c_void_p),
+        ("instance", c_void_p),
+        ("inputs", c_void_p),
+        ("outputs", c_void_p),
+        ("n_inputs", c_int64),
+        ("n_outputs", c_int64),
+        ("base_time", c_double),
+        ("step_size", c_double),
+        ("steps", c_int64),
+        ("steps_per_sample", c_int64),
+    ]
+
+
+class _Effect(ctypes.Structure):
+    _fields_ = [("kind", c_int64), ("signal", c_int64), ("given", c_double), ("memory", c_void_p)]
+
+
+class _Loop(ctypes.Structure):
+    _fields_ = [
+        ("plant", _PlantCalls),
+        *((name, c_int64) for name in ("begin", "end", "first", "holds_last", "p", "q", "m")),
+        *((name, c_void_p) for name in ("outputs", "measured", "others")),
+        ("n_others", c_int64),
+        *((name, c_void_p) for name in ("driven", "changed")),
+        ("n_changed", c_int64),
+        ("actuators", c_void_p),
+        ("n_actuators", c_int64),
+        *((name, c_void_p) for name in ("input_disturbance", "own_inputs", "own")),
+        ("n_own", c_int64),
+        *((name, c_void_p) for name in ("output_disturbance", "before_noise")),
+        ("n_before_noise", c_int64),
+        ("noise", c_void_p),
+        ("n_noise", c_int64),
+        ("after_noise", c_void_p),
+        ("n_after_noise", c_int64),
+        ("loses", c_int64),
+        *((name, c_void_p) for name in ("commands", "controller", "reference", "low", "high")),
+        *((name, c_void_p) for name in ("plant_outputs", "last_seen", "scratch")),
+        *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied", "status")),
+    ]
+
+
+class _Progress(ctypes.Structure):
+    _fields_ = [("rows", c_int64), ("steps", c_int64), ("plant_status", c_int64)]
+
+
+def begin(run: Run) -> "CompiledRun | None":
+    """Return a run that is ready to be advanced in C; None: something in it is known in Python only."""
+    return None if reason_against(run) else CompiledRun(run)
+
+
+def reason_against(run: Run) -> str:
+    """Return what a run has that the compiled loop does not know; empty for nothing."""
+    setup, loop, controller = run.setup, run.loop, run.controller
+    if not isinstance(setup.plant, FMUPlant):
+        return f"{type(setup.plant).__name__} is a plant in Python"
+    if isinstance(controller, ExcitingController) and controller.is_stabilised:
+        return "the experiment has a stabilising controller"
+    there = {
+        "steps between samples": setup.substeps > 1,
+        "known disturbances": setup.disturbances.declared,
+        "bands": loop.bands,
+        "limits that move": loop.moving_limits,
+        "prices": loop.charges,
+        "monitored outputs": setup.monitors,
+        "a warm-up": run.first,
+        "a start at the recording's end": loop.continues_recording or loop.past,
+    }
+    known = effect_numbers()
+    unknown = [name for name in setup.effects if name not in known]
+    return ", ".join([*(what for what, is_there in there.items() if is_there), *unknown])
+
+
+class CompiledRun:
+    """A run whose samples are computed in C, a stretch of rows after the other.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+
+    Raises
+    ------
+    NeedsPythonError
+        The controller has no C code, or there is no compiler.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run, setup, store = run, run.setup, run.store
+        rows = len(store.y)
+        commands = run.controller.excitation if isinstance(run.controller, ExcitingController) else None
+        self._code = NO_CONTROLLER if commands is not None else _code_of(run)
+        try:
+            self._program: Program = program_of(self._code)
+        except ConfigError as error:
+            raise NeedsPythonError(str(error)) from error
+        actuators, sensors = setup.actuators.tables(), setup.sensor_tables(rows)
+        outputs, measured = setup.places
+        controlled = names(setup.outputs)
+        others = [i for i, v in enumerate(setup.measurements) if v.name not in controlled]
+        self.plant_outputs = np.array(run.y_plant, dtype=np.float64)
+        n = len(self.plant_outputs)
+        self._status: NDArray[np.uint32] = np.zeros(rows, np.uint32)
+        self._keep: list[Any] = []
+        bounds = run.outlook.limits.bounds
+        self._loop = _Loop(
+            first=run.first,
+            p=len(outputs),
+            q=len(measured),
+            m=len(setup.inputs),
+            outputs=self._address(outputs, np.int64),
+            measured=self._address(measured, np.int64),
+            others=self._address(others, np.int64),
+            n_others=len(others),
+            driven=self._address(actuators.driven, np.int64),
+            changed=self._address(actuators.changed, np.int64),
+            n_changed=len(actuators.changed),
+            **self._effects("actuators", actuators.effects),
+            input_disturbance=self._address(actuators.added),
+            own_inputs=self._address(actuators.own),
+            own=self._address(actuators.others, np.int64),
+            n_own=len(actuators.others),
+            output_disturbance=self._address(sensors.added),
+            **self._effects("before_noise", sensors.before_noise),
+            noise=self._address(sensors.noise),
+            n_noise=0 if sensors.noise is None else sensors.noise.shape[1],
+            **self._effects("after_noise", sensors.after_noise),
+            loses=(2 if sensors.holds else 1) if sensors.loses else 0,
+            commands=self._address(commands),
+            reference=self._address(run.outlook.wish.reference),
+            low=self._address(bounds.u_min),
+            high=self._address(bounds.u_max),
+            plant_outputs=self._address(self.plant_outputs),
+            last_seen=self._address(np.full(n, np.nan)),
+            scratch=self._address(np.empty(3 * n + len(setup.plant.inputs))),
+            y=self._address(store.y),
+            seen=self._address(run.seen),
+            measurements=self._address(store.measured),
+            u=self._address(store.u),
+            applied=self._address(store.applied),
+            status=self._address(self._status, np.uint32),
+        )
+        if commands is None:
+            state = self._program.started(self._code.numbers)
+            self._keep.append(state)
+            self._loop.controller = ctypes.addressof(state)
+
+    def advance(self, begin: int, end: int, *, hold_last: bool) -> FloatArray:
+        """Run rows from ``begin`` up to and without ``end``; return the plant's outputs then.
+
+        Raises
+        ------
+        NotFiniteError
+            An output is not finite; the rows up to there are written.
+        NeedsPythonError
+            The plant does not make a step: what it says is told by a run in Python.
+        """
+        plant, store = self._run.setup.plant, self._run.store
+        assert isinstance(plant, FMUPlant)
+        loop, progress = self._loop, _Progress()
+        loop.begin, loop.end, loop.holds_last = begin, end, hold_last
+
+        def run(step: StepInC) -> tuple[int, int]:
+            loop.plant = _PlantCalls(
+                *step[:5],
+                self._address(step.inputs, np.uint32),
+                self._address(step.outputs, np.uint32),
+                len(step.inputs),
+                len(step.outputs),
+                *step[7:],
+            )
+            ended = self._program.run(ctypes.addressof(loop), ctypes.addressof(progress))
+            return ended, progress.steps
+
+        ended = plant.in_c(self._run.setup.sampling_time, run)
+        if ended is None or ended == _PLANT_FAILED:
+            raise NeedsPythonError("the plant is not stepped from C")
+        store.take(begin, progress.rows, self._texts(self._status[begin : progress.rows]))
+        if ended != _DONE:
+            require_finite(self.plant_outputs, plant)
+        return self.plant_outputs.copy()
+
+    def _texts(self, statuses: NDArray[np.uint32]) -> list[str]:
+        """Return the words of statuses."""
+        words = {
+            status: "; ".join(
+                text for bit, text in {**self._code.statuses, _OLDER: HELD}.items() if status & bit
+            )
+            for status in set(statuses.tolist())
+        }
+        return [words[status] or OK for status in statuses.tolist()]
+
+    def _effects(self, name: str, effects: Sequence[Condition]) -> dict[str, int]:
+        """Return the members of a list of what conditions do to signals."""
+        numbers = {kind: number for number, kind in _kinds()}
+        listed = []
+        for effect in effects:
+            given, memory = effect.in_c()
+            memory = np.ascontiguousarray(memory, dtype=np.float64)
+            self._keep.append(memory)
+            for signal in np.flatnonzero(effect.setup.values != effect.neutral).tolist():
+                address = memory[signal].ctypes.data if memory.shape[1] else None
+                listed.append(_Effect(numbers[type(effect)], signal, given[signal], address))
+        table = (_Effect * len(listed))(*listed)
+        self._keep.append(table)
+        return {name: ctypes.addressof(table), f"n_{name}": len(listed)}
+
+    def _address(self, values: Any, kind: type[Any] = np.float64) -> int | None:
+        """Return the address of values, in memory that stays as long as the run; None of none."""
+        if values is None:
+            return None
+        table = np.ascontiguousarray(values, dtype=kind)
+        self._keep.append(table)
+        return table.ctypes.data
+
+
+def _kinds() -> list[tuple[int, type[Condition]]]:
+    """Return the conditions that the compiled code knows, with their numbers."""
+    from ddpc_cosim.conditions import all_conditions
+
+    return [(number, all_conditions()[name]) for name, number in effect_numbers().items()]
+
+
+def _code_of(run: Run) -> ControllerCode:
+    """Return the code of a started controller.
+
+    Raises
+    ------
+    NeedsPythonError
+        There is none.
+    """
+    try:
+        return loadable_controller_code(run.controller, run.loop)
+    except ConfigError as error:
+        raise NeedsPythonError(str(error)) from error

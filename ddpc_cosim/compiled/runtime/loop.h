@@ -1,0 +1,109 @@
+/* A closed loop, sample by sample: what loop/master.py and conditions/ do in Python.
+ *
+ * The plant is an initialised FMU for Co-Simulation, whose functions are called by their addresses. All tables have
+ * rows of samples; those of a run that goes on in several calls are the same in each. */
+#ifndef LOOP_H
+#define LOOP_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef _WIN32
+#define LOOP_EXPORT __declspec(dllexport)
+#else
+#define LOOP_EXPORT __attribute__((visibility("default")))
+#endif
+
+/* An FMU: its functions of FMI 2.0 or 3.0, its instance, the value references of what is driven and read. */
+typedef struct {
+    int64_t version;
+    void *set_values;
+    void *do_step;
+    void *get_values;
+    void *instance;
+    const uint32_t *inputs;
+    const uint32_t *outputs;
+    int64_t n_inputs;
+    int64_t n_outputs;
+    double base_time; /* step i begins at base_time + i * step_size */
+    double step_size;
+    int64_t steps; /* done so far */
+    int64_t steps_per_sample;
+} PlantCalls;
+
+/* What one condition does to one signal. */
+typedef struct {
+    int64_t kind; /* as condition_effect numbers them */
+    int64_t signal;
+    double given;
+    double *memory;
+} Effect;
+
+typedef struct {
+    PlantCalls plant;
+    int64_t begin, end; /* rows */
+    int64_t first;      /* row k is sample first + k since the plant was set up */
+    int64_t holds_last; /* whether the plant holds the inputs of the last row, too */
+
+    int64_t p, q, m;         /* controlled outputs, measurements, driven inputs */
+    const int64_t *outputs;  /* p places among the plant's outputs */
+    const int64_t *measured; /* q of them */
+    const int64_t *others;   /* of measurements that are not controlled, among the q */
+    int64_t n_others;
+    const int64_t *driven;   /* m places among the plant's inputs */
+    const int64_t *changed;  /* of inputs whose applied values are kept, among all */
+    int64_t n_changed;
+
+    const Effect *actuators;
+    int64_t n_actuators;
+    const double *input_disturbance; /* (K, m), or NULL */
+    const double *own_inputs;        /* (K, others): inputs that no controller drives, in order, or NULL */
+    const int64_t *own;              /* their places among all */
+    int64_t n_own;
+
+    const double *output_disturbance; /* (K, n_outputs), or NULL */
+    const Effect *before_noise;
+    int64_t n_before_noise;
+    const double *noise; /* (rows, n_noise), or NULL */
+    int64_t n_noise;
+    const Effect *after_noise;
+    int64_t n_after_noise;
+    int64_t loses; /* 0: nothing; 1: what is lost is NaN; 2: the last value stands in */
+
+    const double *commands;  /* (rows, m) in place of a controller, or NULL */
+    void *controller;        /* its state */
+    const double *reference; /* (rows + preview, p) */
+    const double *low;       /* m limits of the inputs */
+    const double *high;
+
+    double *plant_outputs; /* n_outputs, now; the last ones in the end */
+    double *last_seen;     /* n_outputs: as they were seen at the last sample */
+    double *scratch;       /* 3 * n_outputs + n_inputs */
+
+    double *y;          /* (rows, p) */
+    double *seen;       /* (rows, p): as the controller sees it; or NULL */
+    double *measurements; /* (rows, q) */
+    double *u;          /* (rows, m) */
+    double *applied;    /* (rows, n_changed) */
+    uint32_t *status;   /* rows */
+} Loop;
+
+enum { LOOP_DONE, LOOP_PLANT_FAILED, LOOP_NOT_FINITE };
+
+typedef struct {
+    int64_t rows;        /* begun */
+    int64_t steps;       /* of the plant, done */
+    int64_t plant_status;
+} Progress;
+
+/* In the status of a row, besides those of the controller: a lost measurement for which the last one stands in. */
+#define STATUS_OLDER 0x80000000u
+
+LOOP_EXPORT int64_t loop_run(const Loop *loop, Progress *progress);
+LOOP_EXPORT size_t loop_controller_size(void);
+LOOP_EXPORT void loop_start_controller(void *state, const double numbers[]);
+
+/* What a condition makes of a value of one signal at sample k; generated from the conditions that are installed. */
+double condition_effect(int64_t kind, double value, double given, double memory[], size_t k);
+
+#endif
