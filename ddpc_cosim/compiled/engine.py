@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.compiled.program import NO_CONTROLLER, Program, effect_numbers, program_of
-from ddpc_cosim.conditions import HELD
+from ddpc_cosim.conditions import HELD, all_conditions
 from ddpc_cosim.conditions.condition import Condition
 from ddpc_cosim.controller import OK, ControllerCode
 from ddpc_cosim.errors import ConfigError
@@ -75,9 +75,28 @@ class _Progress(ctypes.Structure):
     _fields_ = [("rows", c_int64), ("steps", c_int64), ("plant_status", c_int64)]
 
 
-def begin(run: Run) -> "CompiledRun | None":
-    """Return a run that is ready to be advanced in C; None: something in it is known in Python only."""
-    return None if reason_against(run) else CompiledRun(run)
+class CompiledEngine:
+    """Takes up the runs of one case whose samples can be computed in C.
+
+    Attributes
+    ----------
+    used : str
+        What has computed the samples of the last run: ``"compiled"``, or ``"python: "`` and why.
+    """
+
+    used = ""
+
+    def __call__(self, run: Run) -> "CompiledRun | None":
+        """Return a run that is ready to be advanced; None: something in it is known in Python only.
+
+        Raises
+        ------
+        NeedsPythonError
+            The controller has no C code, or there is no compiler.
+        """
+        reason = reason_against(run)
+        self.used = f"python: {reason}" if reason else "compiled"
+        return None if reason else CompiledRun(run)
 
 
 def reason_against(run: Run) -> str:
@@ -213,17 +232,16 @@ class CompiledRun:
 
     def _texts(self, statuses: NDArray[np.uint32]) -> list[str]:
         """Return the words of statuses."""
+        known = {**self._code.statuses, _OLDER: HELD}
         words = {
-            status: "; ".join(
-                text for bit, text in {**self._code.statuses, _OLDER: HELD}.items() if status & bit
-            )
+            status: "; ".join(text for bit, text in known.items() if status & bit)
             for status in set(statuses.tolist())
         }
         return [words[status] or OK for status in statuses.tolist()]
 
     def _effects(self, name: str, effects: Sequence[Condition]) -> dict[str, int]:
         """Return the members of a list of what conditions do to signals."""
-        numbers = {kind: number for number, kind in _kinds()}
+        numbers = {all_conditions()[name]: number for name, number in effect_numbers().items()}
         listed = []
         for effect in effects:
             given, memory = effect.in_c()
@@ -243,13 +261,6 @@ class CompiledRun:
         table = np.ascontiguousarray(values, dtype=kind)
         self._keep.append(table)
         return table.ctypes.data
-
-
-def _kinds() -> list[tuple[int, type[Condition]]]:
-    """Return the conditions that the compiled code knows, with their numbers."""
-    from ddpc_cosim.conditions import all_conditions
-
-    return [(number, all_conditions()[name]) for name, number in effect_numbers().items()]
 
 
 def _code_of(run: Run) -> ControllerCode:

@@ -106,10 +106,8 @@ class CoSimulationRun(FMURun):
             return None
         if h != self._sample:
             self._change_step_size(h)
-        set_values, do_step, get_values = slave.functions_of_a_step
-        inputs, outputs = (
-            port.references(name) for port, name in zip(self._ports, (set_values, get_values), strict=True)
-        )
+        set_values, _, get_values = slave.functions_of_a_step
+        inputs, outputs = self._ports[0].references(set_values), self._ports[1].references(get_values)
         set_address, step_address, get_address = map(slave.address, slave.functions_of_a_step)
         if inputs is None or outputs is None or not (set_address and step_address and get_address):
             return None

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.call_trace import TracedFunction
+from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.status import FATAL, SUCCESS, CallError, Log, failed_call
 
@@ -272,7 +272,7 @@ class Slave(Instance):
     uses_event_mode = False
     """Whether inputs are written within ``in_event_mode``."""
     functions_of_a_step: tuple[str, str, str] | None = None
-    """What real inputs are written with, what does a step, and what reads real outputs; None: not so simple."""
+    """What writes real inputs, does a step, and reads real outputs; None: it takes more than that."""
 
     def in_event_mode(self, change: Callable[[], None]) -> None:
         """Set inputs, parameters or clocks in event mode; only FMI 3.0 has one for Co-Simulation."""

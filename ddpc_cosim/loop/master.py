@@ -150,7 +150,7 @@ Engine = Callable[[Run], RunOfEngine | None]
 
 
 class NeedsPythonError(Exception):
-    """An engine has to give up a loop that it has taken up: it is to be run without one, from its beginning."""
+    """An engine gives up a loop that it has taken up, which is to be run without one, from its beginning."""
 
 
 _NOTHING: FloatArray = np.empty(0)
@@ -288,7 +288,7 @@ def cosimulate(
     store : RowStore, optional
         Where the rows are written, one per sample of this loop; default: in memory.
     engine : callable, optional
-        What computes the samples where it can, such as :func:`ddpc_cosim.compiled.engine.begin`, with the
+        What computes the samples where it can, such as the compiled engine, with the
         same results but for times of steps and what controllers tell of them; default: this loop.
 
     Returns

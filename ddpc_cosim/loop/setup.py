@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import compress
 from numbers import Integral, Real
 from types import NoneType
-from typing import Any, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ from ddpc_cosim.signals.signals import (
 from ddpc_cosim.variables import FloatArray, Variable, names, not_names, unknown_names
 
 MOST_STEPS = 100_000_000
+EngineName = Literal["python", "compiled"]
+"""What computes the samples of a loop."""
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
 # forecasts of disturbances.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM, WARM_UP_STREAM = 0, 1, 2, 11

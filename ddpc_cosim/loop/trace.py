@@ -139,6 +139,9 @@ class Trace:
         none where there is one step.
     intersample : array, shape (K, (substeps - 1) * q)
         Them, as they were between ``time[k]`` and the next sample, all of one step after the other.
+    engine : str
+        What computed the samples: ``"compiled"``, or why it was Python though that was asked for; empty:
+        Python, as nothing else was.
     acting : tuple of str
         Names of the declared disturbances, those that controllers know nothing of included; ``OWN_NOISE``
         where the plant has noise of its own.
@@ -190,6 +193,7 @@ class Trace:
     monitored_band: FloatArray = field(default_factory=lambda: np.empty((0, 0, 2)))
     substeps: int = 1
     intersample_signals: tuple[Variable, ...] = ()
+    engine: str = ""
     intersample: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     acting: tuple[str, ...] = ()
     state: bytes = b""

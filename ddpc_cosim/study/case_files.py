@@ -115,6 +115,9 @@ class CaseResult:
         From its first sample to its last [s].
     versions : dict of str to str
         Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
+    engine : str
+        What computed its samples: ``"compiled"``, or why it was Python though that was asked for; empty:
+        Python, as nothing else was.
     """
 
     id: str
@@ -142,6 +145,7 @@ class CaseResult:
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    engine: str = ""
 
     @property
     def is_own_control(self) -> bool:
@@ -201,6 +205,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
             versions=dict(run.get("versions", {})),
+            engine=str(run.get("engine", "")),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -317,6 +322,7 @@ def _further(trace: Trace) -> dict[str, Any]:
         "monitored_bands": list(trace.monitored_bands),
         "substeps": trace.substeps if trace.substeps > 1 else None,
         "intersample_signals": [asdict(variable) for variable in trace.intersample_signals],
+        "engine": trace.engine,
     }
     return {key: value for key, value in further.items() if value}
 
@@ -679,6 +685,7 @@ def read_trace(folder: Path) -> Trace:
         warnings=tuple(run["warnings"]),
         substeps=run.get("substeps", 1),
         intersample_signals=tuple(between),
+        engine=run.get("engine", ""),
     )
     if not between:
         return trace

@@ -26,9 +26,16 @@ from ddpc_cosim.errors import (
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop import safe_calls
 from ddpc_cosim.loop.logged import LoggedPlant, LoggedSignals, TakingOver
-from ddpc_cosim.loop.master import EARLY, OUTCOME_OF, Resumption, cosimulate
+from ddpc_cosim.loop.master import (
+    EARLY,
+    OUTCOME_OF,
+    Engine,
+    NeedsPythonError,
+    Resumption,
+    cosimulate,
+)
 from ddpc_cosim.loop.outlook import Limit, Limits, intersample_signals, table_widths
-from ddpc_cosim.loop.setup import communication_steps
+from ddpc_cosim.loop.setup import EngineName, communication_steps
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
@@ -58,7 +65,7 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
 # What a case has besides all that decides its result.
 _NAMES, _OF_EXECUTION = (
     ("label", "id", "problem"),
-    ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage", "keeps_state"),
+    ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage", "keeps_state", "engine"),
 )
 _NOT_DECISIVE = (*_NAMES, *_OF_EXECUTION, "late", "metrics", "seed", "shared_bounds")
 # What is part of a case only where its study says something of it: ids of other cases do not know it.
@@ -194,6 +201,8 @@ class Case:
         The problem's name, where the study has several.
     storage : {"csv", "parquet"}
         The file of its samples, which does not decide the result.
+    engine : {"python", "compiled"}
+        What computes its samples, which does not decide the result.
     """
 
     controller: str
@@ -230,6 +239,7 @@ class Case:
     shared_bounds: Bounded = field(default_factory=dict)
     problem: str = ""
     storage: str = "csv"
+    engine: EngineName = "python"
     disturbances: dict[str, KnownDisturbance] = field(default_factory=dict)
     recorded_disturbances: dict[str, Reference] = field(default_factory=dict)
     recording_start: float | None = None
@@ -621,10 +631,22 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
 
 def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
     """Close the loop of a case and an open plant; an error before its first sample is in the trace, too."""
+    reason = ""
     try:
-        return _close_the_loop(case, plant, _controller(case.section, case.plant), store)
+        if case.engine == "compiled":
+            from ddpc_cosim.compiled.engine import CompiledEngine
+
+            engine = CompiledEngine()
+            try:
+                trace = _close_the_loop(case, plant, _controller(case.section, case.plant), store, engine)
+            except NeedsPythonError as error:
+                reason = f"python: {error}"
+            else:
+                return replace(trace, engine=engine.used)
+        trace = _close_the_loop(case, plant, _controller(case.section, case.plant), store)
     except CosimError as error:
         return _not_begun(case, error)
+    return replace(trace, engine=reason)
 
 
 def _replay(case: Case, replayed: Replayed, store: RowStore) -> Trace:
@@ -644,7 +666,13 @@ def _replay(case: Case, replayed: Replayed, store: RowStore) -> Trace:
     return replace(trace, solve_time=np.array(takes_over.seconds[: len(trace)]))
 
 
-def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:
+def _close_the_loop(
+    case: Case,
+    plant: Plant,
+    controller: Controller | None,
+    store: RowStore | None,
+    engine: Engine | None = None,
+) -> Trace:
     warm_up = case.warm_up_controller
     warm_up_controller = None if warm_up is None else _controller(warm_up, case.plant)
     trace = cosimulate(
@@ -679,6 +707,7 @@ def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, sto
         resumed=case.resumed,
         keeps_state=case.keeps_state,
         store=store,
+        engine=engine,
     )
     provenance = dict(trace.provenance)
     if case.recording is not None and case.recording.treatments:
@@ -846,6 +875,7 @@ def cases_of_problem(
                 step_timeout=study.loop.step_timeout,
                 case_timeout=study.loop.case_timeout,
                 memory_limit=study.loop.memory_limit,
+                engine=study.loop.engine,
                 conditions=resolved.conditions[name],
                 undriven=resolved.undriven[name],
                 disturbances=resolved.disturbances[name],

@@ -19,6 +19,7 @@ from ddpc_cosim.files.tables import plain_table
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.loop.outlook import Limit
+from ddpc_cosim.loop.setup import EngineName
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_of
@@ -267,6 +268,8 @@ class Problem:
         Longest time for any call of the plant or of a controller, and for a whole case [s].
     memory_limit : float, optional
         Memory that a case may have [GB].
+    engine : {"python", "compiled"}
+        What computes the samples: compiled, C code where there is some, with the same figures.
     connections : sequence of Connection
         What the parts of a coupled plant exchange.
     coupling : mapping of str to float or str
@@ -333,6 +336,7 @@ class Problem:
     step_timeout: float | None = None
     case_timeout: float | None = None
     memory_limit: float | None = None
+    engine: EngineName = "python"
     connections: Sequence[Connection] = ()
     coupling: Mapping[str, Any] = field(default_factory=dict)
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -671,6 +675,7 @@ class Study:
         shard: str = "1/1",
         storage: str = "csv",
         keep_files: bool = False,
+        engine: EngineName | Literal[""] = "",
     ) -> StudyResults:
         """Run all cases that are not there yet, and return the results.
 
@@ -682,7 +687,7 @@ class Study:
             Number of worker processes.
         progress : bool or Progress
             Whether to show how far it is, or what follows it instead.
-        only, seeds, fresh, sandbox, executor, scheduler, shard, storage, keep_files
+        only, seeds, fresh, sandbox, executor, scheduler, shard, storage, keep_files, engine
             As the options of ``ddpc-cosim run``.
 
         Raises
@@ -699,7 +704,7 @@ class Study:
             except OSError as error:
                 raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
             file = replace(file, folder=folder.resolve())
-        where = (executor, scheduler, shard, storage, keep_files)
+        where = (executor, scheduler, shard, storage, keep_files, engine)
         selection = Selection(jobs, list(seeds), only, fresh, sandbox, *where)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or Silent())

@@ -21,13 +21,14 @@ from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
 
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.files.csv_files import load_pyarrow
 from ddpc_cosim.files.path_lengths import ALLOW_MORE, are_limited, longest_excess
 from ddpc_cosim.loop.master import OUTCOME_OF
 from ddpc_cosim.loop.safe_calls import announce_calls
+from ddpc_cosim.loop.setup import EngineName
 from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.plugins import (
     FOLDER_VARIABLE,
@@ -171,6 +172,9 @@ class Selection:
     keep_files : bool
         Keep what each case that is run leaves in its working directory, in ``left`` of its folder; on this
         machine only.
+    engine : {"", "python", "compiled"}
+        What computes the samples of cases that are run, which is no part of what they are; empty: what each
+        problem says.
 
     Raises
     ------
@@ -188,6 +192,7 @@ class Selection:
     shard: str = "1/1"
     storage: str = "csv"
     keep_files: bool = False
+    engine: EngineName | Literal[""] = ""
 
     def __post_init__(self) -> None:
         faults = []
@@ -203,6 +208,8 @@ class Selection:
             faults.append(f"--shard {self.shard}: must be I/N, I from 1 to N, such as 1/2 and 2/2")
         if self.keep_files and self.executor != "local":
             faults.append(f"--keep-files: not with --executor {self.executor}: what cases leave stays there")
+        if self.engine not in ("", *get_args(EngineName)):
+            faults.append(f"--engine {self.engine}: must be {' or '.join(get_args(EngineName))}")
         if self.storage not in ("csv", "parquet"):
             faults.append(f"--storage {self.storage}: must be csv or parquet")
         if self.storage == "parquet":
@@ -359,7 +366,10 @@ def run_missing(
         recompute_metrics(cases_folder / case.id, case.metrics)
         if not begin:
             progress.finished(case, load_case(cases_folder / case.id))
-    to_run = [replace(case, storage=selection.storage) for case in missing.values()]
+    how: dict[str, Any] = {"storage": selection.storage}
+    if selection.engine:
+        how["engine"] = selection.engine
+    to_run = [replace(case, **how) for case in missing.values()]
     for case in _done(to_run, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
     return len(to_run)

@@ -25,6 +25,9 @@ def run(
     storage: Literal["csv", "parquet"] = option(
         "csv", "File of each case's samples [csv]; parquet needs pyarrow."
     ),
+    engine: Literal["python", "compiled"] | None = option(
+        None, "What computes the samples [as the study says]; compiled: C code where there is some."
+    ),
     keep_files: bool = option(False, "Keep what each case leaves in its working directory."),
     dry_run: bool = option(False, "Only say how many cases, how long, how many bytes."),
     sandbox: bool = options.SANDBOX,
@@ -50,6 +53,7 @@ def run(
         shard=shard,
         storage=storage,
         keep_files=keep_files,
+        engine=engine or "",
     )
     with shown(f"reading {study}") as progress:
         with warnings_in_one_line():

@@ -31,7 +31,14 @@ from ddpc_cosim.files.logs import LogFormat
 from ddpc_cosim.files.texts import printable
 from ddpc_cosim.identification.identification import Identification, identification_table
 from ddpc_cosim.loop.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.loop.setup import MOST_STEPS, communication_steps, end_time, limits_error, whole_steps
+from ddpc_cosim.loop.setup import (
+    MOST_STEPS,
+    EngineName,
+    communication_steps,
+    end_time,
+    limits_error,
+    whole_steps,
+)
 from ddpc_cosim.metrics import Ranking
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.settings import (
@@ -369,6 +376,9 @@ class LoopSection(Section):
     )
     preview: Preview = setting(
         "horizon", low=0, doc="future references that any controller may see; horizon: as many as it asks for"
+    )
+    engine: EngineName = setting(
+        "python", doc="what computes the samples; compiled: C code where there is some, with the same figures"
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:

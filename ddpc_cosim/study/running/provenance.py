@@ -74,6 +74,7 @@ def facts_of_run(
     seconds = fsum(filter(isfinite, (result.wall_time for result in results)))
     facts = {
         "sandbox": _sandboxes(results),
+        "engine": _engines(results),
         "ddpc-cosim commit": commit_of(Path(__file__)),
         **{f"{name} version": version for name, version in versions().items()},
         "plug-ins": ", ".join(_plugins_of(file)),
@@ -158,6 +159,14 @@ def _sandboxes(results: Sequence[CaseResult]) -> str:
     if list(counts) == [""]:
         return "none"
     return "; ".join(f"{count} of {len(results)} cases: {words or 'none'}" for words, count in counts.items())
+
+
+def _engines(results: Sequence[CaseResult]) -> str:
+    """Return in words how many cases were computed by what; empty where all were by Python, as is usual."""
+    counts = Counter(result.engine or "python" for result in results)
+    if counts.keys() <= {"python"}:
+        return ""
+    return "; ".join(f"{count} of {len(results)} cases: {words}" for words, count in counts.most_common())
 
 
 def _cpu() -> str:
