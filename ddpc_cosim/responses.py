@@ -611,6 +611,13 @@ class StepTimes:
         """The times of the steps that were taken [s]."""
         return self.solve_time[np.isfinite(self.solve_time)]
 
+    @property
+    def misses(self) -> float:
+        """How many took longer than the sampling time; NaN where none was timed."""
+        if self.rows and not self.times.size:
+            return math.nan
+        return float(np.count_nonzero(self.times > self.sampling_time))
+
 
 @dataclass(frozen=True)
 class WholeRun:

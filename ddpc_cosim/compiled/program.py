@@ -66,6 +66,13 @@ def effect_numbers() -> Mapping[str, int]:
 
 
 @cache
+def _own_sources() -> Mapping[str, str]:
+    """Return the files of the loop itself, by name."""
+    runtime = package_files(__name__.rpartition(".")[0]) / "runtime"
+    files = {name: (runtime / name).read_text(encoding="utf-8") for name in ("loop.h", "loop.c")}
+    return files | {"effects.c": _effects_source()}
+
+
 def _effects_source() -> str:
     conditions, parts, cases = all_conditions(), [_EFFECTS_HEAD], []
     for name, number in effect_numbers().items():
@@ -110,9 +117,7 @@ def program_of(code: ControllerCode) -> Program:
     ConfigError
         There is no C compiler, or it does not compile this.
     """
-    runtime = package_files(__name__.rpartition(".")[0]) / "runtime"
-    own = {name: (runtime / name).read_text(encoding="utf-8") for name in ("loop.h", "loop.c")}
-    sources = {**code.sources, **own, "effects.c": _effects_source()}
+    sources = {**code.sources, **_own_sources()}
     digest = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()
     if digest not in _programs:
         try:

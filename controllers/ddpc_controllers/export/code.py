@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from importlib.resources import files as package_files
 from itertools import pairwise
 from math import inf, prod
@@ -591,18 +592,23 @@ _FOLLOW = _STEP.replace("_step", "_follow")
 _LOAD = "void controller_load(const double numbers[])"
 
 
+@cache
+def _kernel_files() -> Mapping[str, str]:
+    """Return the texts of all kernels, by the name of their file."""
+    entries = (package_files(_PACKAGE) / "export" / "runtime").iterdir()
+    files = (file for entry in entries for file in (entry.iterdir() if entry.is_dir() else [entry]))
+    return {file.name: file.read_text(encoding="utf-8") for file in files}
+
+
 def _runtime(kernels: Sequence[str]) -> dict[str, str]:
     """Return the files of the kernels and of those that they include, by name."""
-    entries = (package_files(_PACKAGE) / "export" / "runtime").iterdir()
-    files = {
-        file.name: file for entry in entries for file in (entry.iterdir() if entry.is_dir() else [entry])
-    }
+    files = _kernel_files()
     texts = dict[str, str]()
     open_ones = list(kernels)
     while open_ones:
         name = open_ones.pop()
         for file in (f"{name}.h", f"{name}.c"):
-            text = texts[file] = files[file].read_text(encoding="utf-8")
+            text = texts[file] = files[file]
             includes = [line.split('"')[1] for line in text.splitlines() if line.startswith('#include "')]
             open_ones += [include.removesuffix(".h") for include in includes if include not in texts]
     return texts

@@ -483,8 +483,9 @@ def summed(cases: Sequence[CaseResult], key: str) -> float:
         worse = [math.inf] * lacking if metric.better else []
         return median([*known, *worse]) if len(known) > lacking else math.nan
     if metric.over_seeds == "total":
-        values = (case.metrics.get(key, math.nan) for case in cases)
-        return sum(value for value in values if not math.isnan(value))
+        values = [case.metrics.get(key, math.nan) for case in cases]
+        counted = [value for value in values if not math.isnan(value)]
+        return math.fsum(counted) if counted else math.nan
     how = max if metric.over_seeds == "largest" else median
     return how(known) if known else math.nan
 

@@ -1,0 +1,234 @@
+"""The compiled engine gives what the master in Python gives: the same samples, figures and faults."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ddpc_controllers import PID
+from ddpc_cosim import (
+    ConfigError,
+    Constant,
+    GaussianNoise,
+    Outcome,
+    Trace,
+    cosimulate,
+)
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.compiled.engine import CompiledEngine
+from ddpc_cosim.compiled.program import program_of
+from ddpc_cosim.conditions import all_conditions
+from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.study.cases import Case, run_case, started
+from ddpc_cosim.study.runner import Selection
+from fmu_plants import export_fmu
+from fmu_plants.pendulum import MODEL
+from tests.studies import cases_in, study_text, write
+
+LOOP = {"sampling_time": 0.1, "duration": 4.0}
+REFERENCE = {"angle": {"kind": "steps", "times": [0.0, 2.0], "values": [0.3, -0.2]}}
+RECORDING = {"samples": 60, "excitation": {"torque": {"kind": "uniform", "low": -3.5, "high": 3.5}}}
+PLANT = {"name": "pendulum", "inputs": ["torque"], "outputs": ["angle"]}
+MEASURED = {"measurements": ["angle", "angular_velocity"]}
+BOUNDS = {"torque": {"min": -3.5, "max": 3.5}}
+CONTROLLERS: Mapping[str, Any] = {
+    "deepc": {"type": "deepc", "settings": {"initial_length": 3, "horizon": 5}},
+    "mfapc": {"type": "mfapc"},
+    "pid": {"type": "pid", "settings": {"proportional": 4.0, "integral": 3.0, "derivative": 0.5}},
+}
+SCENARIOS: Mapping[str, Any] = {
+    "plain": {},
+    "noise": {"noise": {"angle": 0.01, "angular_velocity": 0.05}},
+    "late-input": {"delay": {"torque": 0.2}, "rate_limit": {"torque": 8.0}},
+    "late-sensor": {"delay": {"angle": 0.1}, "quantum": {"angle": 0.01}},
+    "play": {"backlash": {"torque": 0.3}},
+    "losses": {"loss": {"angle": 0.2}, "noise": {"angle": 0.01}},
+    "pushed": {
+        "disturbances": {
+            "torque": {"kind": "steps", "times": [1.0], "values": [0.8]},
+            "angle": {"kind": "noise", "standard_deviation": 0.01},
+        }
+    },
+    "heavier": {"events": [{"time": 1.5, "parameters": {"mass": 1.4}}]},
+    "wearing": {
+        "drifts": [
+            {"parameter": "damping", "from_value": 0.4, "to_value": 0.8, "from_time": 0.5, "to_time": 3}
+        ]
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def cases(own_cache_folder: None, tmp_path_factory: pytest.TempPathFactory) -> list[Case]:
+    """The cases of a study of three methods under all conditions."""
+    text = study_text(
+        {**PLANT, **MEASURED},
+        REFERENCE,
+        CONTROLLERS,
+        LOOP,
+        name="compiled",
+        seeds=[3],
+        bounds=BOUNDS,
+        recording=RECORDING,
+        scenarios=SCENARIOS,
+    )
+    return cases_in(write(tmp_path_factory.mktemp("compiled"), text))
+
+
+def both(case: Case) -> tuple[Trace, Trace]:
+    """Return the trace of a case by each engine."""
+    return run_case(case), run_case(replace(case, engine="compiled"))
+
+
+def assert_the_same(python: Trace, compiled: Trace) -> None:
+    """Check samples, counts of fallbacks and metrics."""
+    assert compiled.engine == "compiled"
+    assert (compiled.outcome, len(compiled)) == (python.outcome, len(python))
+    for name in ("time", "reference", "y", "measured", "u", "applied"):
+        expected = getattr(python, name)
+        scale = float(np.nanmax(np.abs(expected), initial=0.0)) or 1.0
+        np.testing.assert_allclose(
+            getattr(compiled, name), expected, rtol=0.0, atol=1e-9 * scale, err_msg=name
+        )
+    assert [s == "ok" for s in compiled.status] == [s == "ok" for s in python.status]
+    expected, found = python.metrics(), compiled.metrics()
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        if not key.startswith(("solve_time", "deadline_misses")):
+            scale = max(abs(value), 1.0)
+            assert found[key] == pytest.approx(value, rel=1e-9, abs=1e-9 * scale, nan_ok=True), key
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_samples_and_figures_are_those_of_python(cases: list[Case], controller: str, scenario: str) -> None:
+    (case,) = (c for c in cases if (c.controller, c.scenario) == (controller, scenario))
+    assert_the_same(*both(case))
+
+
+def test_all_conditions_of_the_house_are_known_in_c() -> None:
+    own = {name: kind for name, kind in all_conditions().items() if kind.__module__.startswith("ddpc_cosim.")}
+    assert all(kind.c_code for kind in own.values())
+    used = {key for scenario in SCENARIOS.values() for key in scenario}
+    assert own.keys() <= used
+
+
+def test_the_engine_is_no_part_of_a_case(cases: list[Case], tmp_path: Path) -> None:
+    text = study_text(PLANT, REFERENCE, ["mfapc"], LOOP)
+    compiled = text.replace("[loop]\n", '[loop]\nengine = "compiled"\n')
+    assert compiled != text
+    python, other = (cases_in(write(tmp_path, t, f"{n}.toml"))[0] for n, t in enumerate((text, compiled)))
+    assert (other.id, other.engine) == (python.id, "compiled")
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_fmus_of_both_versions(version: str, own_cache_folder: None, tmp_path: Path) -> None:
+    path = export_fmu(MODEL, tmp_path / "pendulum.fmu", version)
+
+    def run(engine: CompiledEngine | None) -> Trace:
+        with FMUPlant(path, inputs=["torque"], outputs=["angle"]) as plant:
+            return cosimulate(
+                plant,
+                PID(proportional=4.0, integral=3.0),
+                sampling_time=0.1,
+                duration=3.0,
+                reference=Constant(0.2),
+                noise=GaussianNoise({"angle": 0.01}),
+                engine=engine,
+            )
+
+    engine = CompiledEngine()
+    python, compiled = run(None), run(engine)
+    assert engine.used == "compiled"
+    np.testing.assert_allclose(compiled.y, python.y, rtol=0.0, atol=1e-12)
+
+
+def test_what_python_alone_knows_is_run_there_and_says_why(tmp_path: Path, own_cache_folder: None) -> None:
+    band = {"band": {"lower": -0.1, "upper": 0.1}}
+    text = study_text(PLANT, {"angle": band}, {"pid": CONTROLLERS["pid"]}, {"engine": "compiled"})
+    (case,) = cases_in(write(tmp_path, text))
+    asked = run_case(case)
+    assert (asked.engine, asked.outcome) == ("python: bands", Outcome.COMPLETED)
+
+
+def test_a_method_without_code_in_c_is_run_in_python(tmp_path: Path, own_cache_folder: None) -> None:
+    text = study_text(
+        PLANT, {"angle": 0.1}, {"nmpc": {"type": "nmpc", "settings": {"horizon": 3}}}, {"duration": 0.3}
+    )
+    (case,) = cases_in(write(tmp_path, text))
+    python, asked = both(case)
+    assert asked.engine.startswith("python: NMPC cannot be exported")
+    np.testing.assert_array_equal(asked.y, python.y)
+
+
+def test_a_plant_that_diverges_ends_the_run_where_it_does_in_python(
+    tmp_path: Path, own_cache_folder: None
+) -> None:
+    model = """
+from fmu_plants import Equations, PlantModel, Variable
+STATE, INPUT = Variable("x", start=1.0), Variable("u")
+MODEL = PlantModel(
+    name="explosion",
+    description="A state that is infinite after half a second",
+    states=(STATE,),
+    inputs=(INPUT,),
+    outputs=(STATE,),
+    parameters=(),
+    equations=lambda v: Equations(derivatives={"x": v.x**3 + v.u}),
+    step_size=0.1,
+    stop_time=1.0,
+)
+"""
+    (tmp_path / "explosion.py").write_text(model, encoding="utf-8")
+    text = study_text(
+        {"name": "explosion.py:MODEL", "inputs": ["u"], "outputs": ["x"]},
+        {"x": 0.0},
+        {"mfapc": "mfapc"},
+        bounds={"u": {"min": -0.01, "max": 0.01}},
+    )
+    (case,) = cases_in(write(tmp_path, text))
+    python, compiled = both(case)
+    assert (compiled.outcome, compiled.reason) == (python.outcome, python.reason)
+    assert python.outcome is not Outcome.COMPLETED
+    np.testing.assert_allclose(compiled.y, python.y, rtol=1e-12)
+
+
+def test_code_with_its_numbers_apart_is_the_same_for_every_recording(cases: list[Case]) -> None:
+    (case,) = (c for c in cases if (c.controller, c.scenario) == ("deepc", "noise"))
+    first, second = (
+        controller.loadable_c_code(loop)
+        for controller, loop in (started(replace(case, seed=seed)) for seed in (3, 4))
+    )
+    assert first.sources == second.sources
+    assert first.numbers.shape == second.numbers.shape
+    assert (first.numbers != second.numbers).any()
+    assert program_of(first) is program_of(second)
+
+
+def test_run_says_which_engine_each_case_had(
+    tmp_path: Path, own_cache_folder: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, study_text(PLANT, {"angle": 0.1}, ["mfapc"], name="two"))
+    done = CliRunner().invoke(main, ["run", "study.toml", "--engine", "compiled", "--no-report"])
+    assert done.exit_code == 0, done.output
+    found = [json.loads(path.read_text()) for path in tmp_path.glob("runs/two/cases/*/run.json")]
+    assert {run["engine"] for run in found} == {"compiled"}
+    facts = json.loads((tmp_path / "runs/two/provenance.json").read_text())
+    assert facts["engine"] == "1 of 1 cases: compiled"
+
+
+def test_an_engine_that_there_is_not_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--engine rust: must be python or compiled"):
+        Selection(engine="rust")  # type: ignore[arg-type]
+
+
+def test_all_that_is_controlled_comes_in_its_order(cases: list[Case]) -> None:
+    (case,) = (c for c in cases if (c.controller, c.scenario) == ("mfapc", "noise"))
+    wanted = {variable.name: Constant(0.1) for variable in case.measurements}
+    assert_the_same(*both(replace(case, outputs=case.measurements[::-1], reference=wanted)))

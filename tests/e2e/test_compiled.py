@@ -1,0 +1,85 @@
+"""One truth: cases of the built-in studies, drawn at random, by the compiled engine and by Python."""
+
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import Constant, Reference, Trace
+from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.objects import Silent
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, selected_cases
+
+COUNT, TOLERANCE = 200, 1e-9
+# What takes long in Python, or has prices, bands and forecasts, which the compiled loop does not know.
+STUDIES = ("benchmark", "paper", "noise", "mimo", "time-varying", "unstable", "direction-change")
+SIGNALS = ("time", "reference", "y", "measured", "u", "applied")
+
+
+def drawn() -> list[Case]:
+    """Return so many cases, of all studies, problems, methods and scenarios alike."""
+    every = [
+        case
+        for name in STUDIES
+        for case in selected_cases(read_study(name), Selection(seeds=[0, 1]), Silent())[1]
+        if case.section["type"] not in ("nmpc", "spsa", "wkpc-published")  # they have no code in C
+    ]
+    return random.Random(20261128).sample(every, COUNT)
+
+
+def largest_difference(one: Trace, other: Trace, signals: Sequence[str] = SIGNALS) -> float:
+    """Return by how much signals differ, relative to the largest value of each."""
+    assert (one.outcome, len(one)) == (other.outcome, len(other))
+    largest = 0.0
+    for name in signals:
+        values, others = getattr(one, name), getattr(other, name)
+        assert values.shape == others.shape
+        assert (np.isnan(values) == np.isnan(others)).all()
+        if values.size:
+            scale = np.nanmax(np.abs(values), axis=0, initial=0.0)
+            difference = np.nanmax(np.abs(values - others), axis=0, initial=0.0)
+            largest = max(largest, float((difference / np.where(scale > 0.0, scale, 1.0)).max()))
+    return largest
+
+
+def parts_of(disturbance: Reference | Sequence[Reference]) -> Sequence[Reference]:
+    """Return the signals that a disturbance is the sum of."""
+    return (disturbance,) if isinstance(disturbance, Reference) else disturbance
+
+
+def moved_by_rounding(case: Case, trace: Trace) -> float:
+    """Return by how much a run in Python changes where each input has a rounding error added to it."""
+    pushed = {
+        variable.name: [
+            *parts_of(case.conditions.disturbances.get(variable.name, ())),
+            Constant(2e-16 * float(np.abs(trace.u[:, i]).max())),
+        ]
+        for i, variable in enumerate(case.inputs)
+    }
+    conditions = replace(case.conditions, disturbances={**case.conditions.disturbances, **pushed})
+    return largest_difference(trace, run_case(replace(case, conditions=conditions)), ("y", "u"))
+
+
+@pytest.mark.slow
+def test_random_cases_are_the_same_in_both_engines() -> None:
+    wrong, compiled = [], 0
+    for case in drawn():
+        python, in_c = run_case(case), run_case(replace(case, engine="compiled"))
+        compiled += in_c.engine == "compiled"
+        difference = largest_difference(python, in_c)
+        # A loop that amplifies rounding does so in Python, too: by no less than a tenth of that.
+        if difference > TOLERANCE and moved_by_rounding(case, python) < difference / 10.0:
+            wrong.append((case.name, difference))
+        expected, found = python.metrics(case.metrics), in_c.metrics(case.metrics)
+        assert expected.keys() == found.keys()
+        if difference <= TOLERANCE:
+            for key, value in expected.items():
+                if np.isfinite(value) and not key.startswith(("solve_time", "deadline_misses")):
+                    size = max([abs(value), *np.abs(python.y).max(axis=0, initial=1.0)])
+                    if abs(found[key] - value) > 10.0 * TOLERANCE * size:
+                        wrong.append((f"{case.name}: {key}", found[key] - value))
+    assert not wrong
+    assert compiled >= 0.95 * COUNT
