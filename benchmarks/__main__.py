@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from benchmarks import (
     cases,
+    compiled,
     coupling,
     exported,
     fmu,
@@ -22,6 +23,7 @@ from benchmarks import (
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "cases": cases.main,
+    "compiled": compiled.main,
     "coupling": coupling.main,
     "exported": exported.main,
     "fmu": fmu.main,
