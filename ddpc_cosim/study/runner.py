@@ -1,9 +1,9 @@
 """Running a study: prepare the plant, run what is not there yet, write what is known of all cases.
 
 Each case runs in a worker of its own: a crash or a hang costs that case and nothing else, and what a plug-in
-leaves behind in its process (floating-point errors, random numbers, modules) changes no other case. Where a
-worker is not forked but started anew, which takes longer than most cases, the next case may have it too, if
-nothing of the one before can be left in it.
+leaves behind in its process (floating-point errors, random numbers, modules) changes no other case. Where
+starting a worker takes longer than most cases, as it is started anew and not forked, or their loops are
+compiled, the next case may have it too, if nothing of the one before can be left in it.
 """
 
 import gc
@@ -475,7 +475,8 @@ def run_cases(
         cases = [replace(case, sandbox=words) for case in cases]
     with _scratch() as temporary, _scratch(folder, STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
-        preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
+        engines = {"ddpc_cosim.compiled.engine" for case in cases if case.engine == "compiled"}
+        preload = [*_PRELOAD, *tables, *engines, *_plugin_modules(cases)]
         waiting, running, crashes = deque(cases), list[_Run](), Counter[str]()
         workers = _Workers(preload, temporary)
         compiled = dict[Path, list[Path]]()
@@ -620,7 +621,7 @@ def _plugin_modules(cases: Sequence[Case]) -> list[str]:
 
 
 class _Workers:
-    """Makes the workers of cases; where they are not forked, one that is as good as new is used again.
+    """Makes the workers of cases; one that is as good as new is used again where that pays.
 
     Parameters
     ----------
@@ -662,7 +663,9 @@ class _Workers:
 
     def may_go_on(self, case: Case) -> bool:
         """Whether the worker of a case that completes may have another one."""
-        return self._reuse and not case.sandbox and leaves_nothing_behind(case)
+        # Beside a compiled loop, the start of a worker takes as long as all else.
+        reuse = self._reuse or case.engine == "compiled"
+        return reuse and not case.sandbox and leaves_nothing_behind(case)
 
 
 class _Run:
