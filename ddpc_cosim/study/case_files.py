@@ -115,6 +115,8 @@ class CaseResult:
         From its first sample to its last [s].
     versions : dict of str to str
         Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
+    drawn : dict of str to float
+        The plant parameters that its seed has drawn, by name and unit: ``"mass [kg]"``.
     """
 
     id: str
@@ -142,6 +144,7 @@ class CaseResult:
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    drawn: dict[str, float] = field(default_factory=dict)
 
     @property
     def is_own_control(self) -> bool:
@@ -201,6 +204,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
             versions=dict(run.get("versions", {})),
+            drawn=dict(run.get("drawn", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error

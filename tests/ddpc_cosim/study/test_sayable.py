@@ -55,7 +55,7 @@ from ddpc_cosim import (
     UniformRandom,
     WhiteNoise,
 )
-from ddpc_cosim.codec import KIND, Kinds, declared_fields
+from ddpc_cosim.codec import Kinds, declared_fields
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.metrics import all_metrics
 from ddpc_cosim.responses import SampledSignal
@@ -402,7 +402,7 @@ def classes_of(hint: Any, table: Any = None) -> Sequence[Any]:
     if get_origin(hint) is Annotated:
         kinds = next((argument for argument in get_args(hint) if isinstance(argument, Kinds)), None)
         if kinds and table is not None:
-            return [kinds.marked_in(table) or kinds.classes[table.get(KIND, kinds.default)]]
+            return [kinds.marked_in(table) or kinds.classes[table.get(kinds.key, kinds.default)]]
         return (
             [*kinds.classes.values(), *kinds.marked.values()]
             if kinds
