@@ -36,9 +36,9 @@ def reliability_statements(condition: Condition, reliabilities: Sequence[Reliabi
         Markup("{} on {}").format(bold(labels[item.controller].label), rate_words(item.rate))
         for item in reliabilities
     ]
-    shown, more = rates[:_NAMED], len(rates) - _NAMED
-    who = join_words([*shown, *([f"{more} more, in the table"] if more > 0 else [])])
-    text = Markup("Failed: {}; in brackets the exact 95\u00a0% interval of the probability.").format(who)
+    text = Markup("Failed: {}; in brackets the exact 95\u00a0% interval of the probability.").format(
+        _first(rates)
+    )
     if condition.results.study.plant.sampling != "independent":
         text += (
             " It is that of independent seeds: these are spread evenly over the plants, so that it is too "
@@ -50,40 +50,52 @@ def reliability_statements(condition: Condition, reliabilities: Sequence[Reliabi
     return statements
 
 
+def _first(parts: Sequence[Markup]) -> Markup:
+    """Join the first of some parts, and say how many more the table has."""
+    more = len(parts) - _NAMED
+    return join_words([*parts[:_NAMED], *([f"{more} more, in the table"] if more > 0 else [])])
+
+
 def _parameter_words(condition: Condition, reliabilities: Sequence[Reliability]) -> Markup:
     """Say what stands out of all associations; what does not is not said to have no effect."""
-    parts = [
-        Markup("in runs of {}, {} ({})").format(
-            italic(condition.by_key[item.controller].label), _goes_with(association), _size(association)
-        )
+    sentences = [
+        Markup("In runs of {}, {}.").format(italic(condition.by_key[item.controller].label), _goes_with(item))
         for item in reliabilities
-        for association in sorted(item.associations, key=lambda a: -abs(a.size))
-        if association.stands_out
+        if any(association.stands_out for association in item.associations)
     ]
     compared = sum(len(item.associations) for item in reliabilities)
-    if not parts:
-        none = "Of the parameters that seeds draw, none stands out in {} comparisons."
-        return Markup(none).format(compared)
-    shown, more = parts[:_NAMED], len(parts) - _NAMED
-    text = join_words([*shown, *([f"{more} more, in the table"] if more > 0 else [])])
-    return Markup(
-        "{}. These are associations, which stand out of {} comparisons together: a parameter may go with "
-        "what causes a failure without causing it."
-    ).format(text[:1].upper() + text[1:], compared)
+    if not sentences:
+        return Markup("Of the parameters that seeds draw, none stands out in {} comparisons.").format(
+            compared
+        )
+    rest = len(sentences) - _NAMED
+    text = Markup(" ").join(sentences[:_NAMED]) + (f" {rest} more are in the table." if rest > 0 else "")
+    return text + (
+        " Each interval allows for all comparisons of the problem. These are associations: a parameter may "
+        "go with what is the cause without being it."
+    )
 
 
-def _goes_with(association: Association) -> str:
-    name = association.parameter.partition(" [")[0]
-    which = "larger" if association.size > 0 else "smaller"
-    what = f"worse {metric_words(association.key)}" if association.key else "failure"
-    return f"{what} goes with a {which} {name}"
+def _goes_with(item: Reliability) -> Markup:
+    """Say which parameters stand out, those that go with a figure most closely first."""
+    found: dict[str, list[str]] = {}
+    for association in sorted(item.associations, key=lambda association: -abs(association.size)):
+        if association.stands_out:
+            which = "larger" if association.size > 0 else "smaller"
+            name = clipped(association.parameter.partition(" [")[0])
+            found.setdefault(association.key, []).append(f"a {which} {name} ({_size(association)})")
+    parts = [
+        Markup("{} goes with {}").format(
+            f"worse {metric_words(key)}" if key else "failure", join_words(parameters)
+        )
+        for key, parameters in found.items()
+    ]
+    return join_words(parts)
 
 
 def _size(association: Association) -> str:
-    ends = f"{fixed(association.low, 2)} … {fixed(association.high, 2)}"
-    if association.key:
-        return f"rank correlation {fixed(association.size, 2)}, {ends}"
-    return f"{fixed(association.size, 2)} standard deviations, {ends}"
+    size = f"{fixed(association.size, 2)} [{fixed(association.low, 2)} … {fixed(association.high, 2)}]"
+    return f"rank correlation {size}" if association.key else f"{size} standard deviations"
 
 
 def reliability_table(
