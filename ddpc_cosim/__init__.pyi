@@ -16,6 +16,13 @@ from .controller import (
 )
 from .coupling.plant import CoupledPlant as CoupledPlant
 from .coupling.wiring import Connection as Connection
+from .distributions import (
+    Distribution as Distribution,
+    LogNormal as LogNormal,
+    Normal as Normal,
+    Triangular as Triangular,
+    Uniform as Uniform,
+)
 from .errors import (
     ConfigError as ConfigError,
     ControllerError as ControllerError,

@@ -38,7 +38,7 @@ _EXPECTED: dict[Any, str] = {bool: "true or false", int: "an integer", float: "a
 _LONGEST_VALUE = 100
 _MISSING = object()
 KIND = "kind"
-"""The key by which a table says which of several classes it is of."""
+"""The key by which a table says which of several classes it is of, where these have no ``kind_key``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +102,16 @@ class Kinds:
     default: str = ""
     marked: Mapping[str, type[Any]] = field(default_factory=dict, hash=False)
 
+    @property
+    def key(self) -> str:
+        """The key by which a table says of which class it is."""
+        return kind_key(next(iter(self.classes.values())))
+
     def meant_by(self, table: Any) -> Sequence[type[Any]]:
         """Return the class that a table names; all of them where it names none, as a part of a table does."""
         if (marked := self.marked_in(table)) is not None:
             return [marked]
-        name = table.get(KIND) if isinstance(table, dict) else None
+        name = table.get(self.key) if isinstance(table, dict) else None
         return [kind for known, kind in self.classes.items() if name in (None, known)]
 
     def marked_in(self, table: Any) -> type[Any] | None:
@@ -226,7 +231,12 @@ def _declared_fields(kind: Any) -> Mapping[str, DeclaredField]:
 
 def known_keys(kind: Any) -> tuple[str, ...]:
     """Return the keys that a table of a class may have."""
-    return (*([KIND] if hasattr(kind, KIND) else []), *declared_fields(kind))
+    return (*filter(None, [kind_key(kind)]), *declared_fields(kind))
+
+
+def kind_key(kind: Any) -> str:
+    """Return the key by which a table says that it is of a class; empty: of that it says nothing."""
+    return str(getattr(kind, "kind_key", KIND)) if hasattr(kind, KIND) else ""
 
 
 def _itself(value: Any) -> Any:
@@ -392,7 +402,7 @@ def write_in_short(value: Any) -> dict[str, Any]:
 
 
 def _kind_in(value: Any) -> dict[str, Any]:
-    return {KIND: value.kind} if hasattr(value, KIND) else {}
+    return {kind_key(value): value.kind} if hasattr(value, KIND) else {}
 
 
 def _equal(value: Any, other: Any) -> bool:
@@ -730,12 +740,13 @@ def _kind_of(kinds: Kinds, value: Any, place: Place) -> type[Any]:
         raise _wrong_type(place, value, "a table")
     if (marked := kinds.marked_in(value)) is not None:
         return marked
-    name = value.get(KIND, kinds.default or None)
+    name = value.get(kinds.key, kinds.default or None)
     if name is None:
-        raise _WrongValueError(_Fault(place, f'required key "{KIND}" is missing'))
+        raise _WrongValueError(_Fault(place, f'required key "{kinds.key}" is missing'))
     if not isinstance(name, str) or name not in kinds.classes:
-        listed = ", ".join(map(repr, kinds.classes))
-        raise _WrongValueError(_Fault(place, f"must be one of {listed}, got {shown(name)}"))
+        listed, near = ", ".join(map(repr, kinds.classes)), nearest(str(name), kinds.classes)
+        hint = f'; did you mean "{near}"?' if near else ""
+        raise _WrongValueError(_Fault(place, f"must be one of {listed}, got {shown(name)}{hint}"))
     return kinds.classes[name]
 
 

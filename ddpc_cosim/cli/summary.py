@@ -17,11 +17,14 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.verdicts.baselines import against, with_baseline
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
+from ddpc_cosim.study.verdicts.judgement import set_aside
+from ddpc_cosim.study.verdicts.reliability import failure_rate, is_asked
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
     knowing_clause,
     lead_clause,
     ranks_differ_clause,
+    rate_words,
     too_few_seeds_clause,
 )
 from ddpc_cosim.study.verdicts.shares import marked
@@ -311,11 +314,25 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)
+    if line := _failures_line(results, rows):
+        lines.append(line)
     if findings.requirements:
         lines += findings.requirements.lines
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
     return lines
+
+
+def _failures_line(results: StudyResults, rows: Sequence[_Row]) -> str:
+    """Say how often each controller fails, by what so many seeds tell; empty where it is not asked."""
+    aside = set_aside(results.study)
+    who = [row for row in rows if row.cases and row.cases[0].controller not in aside]
+    if not who or not is_asked(results.cases):
+        return ""
+    several = len({case.scenario for case in results.cases}) > 1
+    within = " in a scenario" if several else ""
+    rates = "; ".join(f"{_in_a_sentence(row.name)} on {rate_words(failure_rate(row.cases))}" for row in who)
+    return f"fails{within}, with the 95 % interval of how often: {rates}".replace("\u00a0", " ")
 
 
 def _in_a_sentence(label: str) -> str:

@@ -185,6 +185,7 @@ def _replaying(case: Case, table: Mapping[str, FloatArray], begin: float, first:
         excitation=None,
         stabiliser=None,
         parameters={},
+        spread=(),
         noise={},
         events=(),
         conditions=Conditions(inputs={variable.name: logged[variable.name] for variable in undriven}),

@@ -118,6 +118,8 @@ class CaseResult:
     engine : str
         What computed its samples: ``"compiled"``, or why it was Python though that was asked for; empty:
         Python, as nothing else was.
+    drawn : dict of str to float
+        The plant parameters that its seed has drawn, by name and unit: ``"mass [kg]"``.
     """
 
     id: str
@@ -146,6 +148,7 @@ class CaseResult:
     simulated_time: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     engine: str = ""
+    drawn: dict[str, float] = field(default_factory=dict)
 
     @property
     def is_own_control(self) -> bool:
@@ -206,6 +209,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
             versions=dict(run.get("versions", {})),
             engine=str(run.get("engine", "")),
+            drawn=dict(run.get("drawn", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error

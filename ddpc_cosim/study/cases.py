@@ -15,6 +15,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Controller, Loop, Recording, Sample
+from ddpc_cosim.distributions import Distribution, shares
 from ddpc_cosim.errors import (
     ConfigError,
     CosimError,
@@ -82,6 +83,7 @@ _WHERE_SAID = (
     "warm_up_controller",
     "resumed",
     "replayed",
+    "spread",
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
@@ -145,7 +147,7 @@ class Case:
     stabiliser : dict or None
         Type and settings of the controller that keeps the plant during the experiment.
     parameters : dict of str to float
-        Plant parameters.
+        Plant parameters, those included that its seed has drawn.
     noise : dict of str to float
         Standard deviations of measurement noise.
     events : tuple of ParameterChange
@@ -203,6 +205,8 @@ class Case:
         The file of its samples, which does not decide the result.
     engine : {"python", "compiled"}
         What computes its samples, which does not decide the result.
+    spread : tuple of Variable
+        The parameters that its seed has drawn.
     """
 
     controller: str
@@ -253,6 +257,7 @@ class Case:
     resumed: Resumption | None = None
     keeps_state: bool = False
     replayed: Replayed | None = None
+    spread: tuple[Variable, ...] = ()
 
     @property
     def name(self) -> str:
@@ -264,6 +269,11 @@ class Case:
         problem = f"{self.problem}_" if self.problem else ""
         scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
         return f"{problem}{self.controller}{scenario}_seed{seed}"
+
+    @property
+    def drawn(self) -> dict[str, float]:
+        """The values of the parameters that its seed has drawn, by name and unit: ``"mass [kg]"``."""
+        return {variable.header: float(self.parameters[variable.name]) for variable in self.spread}
 
     @property
     def changed_inputs(self) -> tuple[Variable, ...]:
@@ -283,7 +293,8 @@ class Case:
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
         keys = ("id", "problem", "controller", "label", "scenario", "seed", "sandbox", "storage")
-        return {key: getattr(self, key) for key in keys}
+        head = {key: getattr(self, key) for key in keys}
+        return head | ({"drawn": self.drawn} if self.spread else {})
 
 
 def cases_of(
@@ -395,8 +406,9 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
         case = replace(case, recorded_disturbances={}, recording_start=None)
     digest = case.recording.digest if case.recording else None
     shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
-    for seed in driven:
-        yield _with_seed(case, seed, case.name_with(seed), shared)
+    for seed, of_seed in driven.items():
+        own = replace(case, parameters=of_seed.parameters)
+        yield _with_seed(own, seed, case.name_with(seed), shared)
 
 
 def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
@@ -510,12 +522,14 @@ def leaves_nothing_behind(case: Case) -> bool:
 
 
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
-    """Return a hash of everything that decides a case's result, but for its seed."""
+    """Return a hash of everything that decides a case's result, but for its seed and what that draws."""
     decisive = {case_field.name: getattr(case, case_field.name) for case_field in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     if versions := case.conditions.versions:  # each scenario has conditions of its own
         decisive["versions"] = versions
-    signals = ("inputs", "outputs", "measurements", "undriven", "read")
+    drawn = names(case.spread)
+    decisive["parameters"] = {name: v for name, v in case.parameters.items() if name not in drawn}
+    signals = ("inputs", "outputs", "measurements", "undriven", "read", "spread")
     decisive |= {key: names(decisive[key]) for key in signals}
     decisive["warm_up"] = case.warm_up or None
     decisive["disturbances"] = {name: _by_content(known) for name, known in case.disturbances.items()}
@@ -838,6 +852,8 @@ def cases_of_problem(
     recording = {"recording": resolved.recording.digest if resolved.recording else None}
     warm_up = resolved.warm_up_controller
     warm_up_controller = None if warm_up is None else _type_and_settings(warm_up)
+    run_seeds = list(seeds or study.seeds)
+    plants = {name: _drawn(resolved, scenario, run_seeds) for name, scenario in study.scenarios.items()}
     for controller, section in study.controllers.items():
         content: dict[str, Any] = {}
         for name, scenario in study.scenarios.items():
@@ -868,7 +884,7 @@ def cases_of_problem(
                 excitation=resolved.excitations[name],
                 recording=resolved.recording,
                 stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
-                parameters={**study.plant.parameters, **scenario.parameters},
+                parameters=plants[name][run_seeds[0]],
                 noise=dict(scenario.noise),
                 events=events[name],
                 preview=study.loop.preview_of(scenario),
@@ -889,8 +905,9 @@ def cases_of_problem(
                 warm_up_controller=warm_up_controller,
                 metrics=resolved.metrics,
                 late=resolved.late.get(controller, ""),
+                spread=_spread(resolved, scenario),
             )
-            run_with = list(seeds or study.seeds)[: 1 if section.seeds == "first" else None]
+            run_with = run_seeds[: 1 if section.seeds == "first" else None]
             named = [(seed, case.name_with(seed)) for seed in run_with]
             chosen = [
                 (seed, called)
@@ -902,7 +919,34 @@ def cases_of_problem(
             content = content or _code_and_files(case) | recording
             shared = _hash_of(case, content)
             for seed, called in chosen:
-                yield _with_seed(case, seed, called, shared)
+                yield _with_seed(replace(case, parameters=plants[name][seed]), seed, called, shared)
+
+
+def _spread(resolved: "ResolvedStudy", scenario: "ScenarioSection") -> tuple[Variable, ...]:
+    """Return the parameters that seeds draw in a scenario."""
+    said = {**resolved.study.plant.parameters, **scenario.parameters}
+    return tuple(
+        variable for variable in resolved.spread if isinstance(said.get(variable.name), Distribution)
+    )
+
+
+def _drawn(
+    resolved: "ResolvedStudy", scenario: "ScenarioSection", seeds: Sequence[int]
+) -> dict[int, dict[str, ParameterValue]]:
+    """Return the plant parameters of a scenario by seed: all draw with the same numbers in every scenario."""
+    plant = resolved.study.plant
+    said: dict[str, Any] = {**plant.parameters, **scenario.parameters}
+    if not resolved.spread:
+        return dict.fromkeys(seeds, said)
+    of_seeds = shares(names(resolved.spread), plant.sampling, tuple(seeds))
+    columns = {
+        variable.name: said[variable.name].quantile(of_seeds[:, column]).tolist()
+        for column, variable in enumerate(resolved.spread)
+        if isinstance(said.get(variable.name), Distribution)
+    }
+    return {
+        seed: said | {name: values[row] for name, values in columns.items()} for row, seed in enumerate(seeds)
+    }
 
 
 def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | None:
@@ -918,6 +962,8 @@ def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | Non
 def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:
     whole = shared.copy()
     whole.update(str(seed).encode())
+    if case.spread:  # ids of other cases do not know of it
+        whole.update(repr(case.drawn).encode())
     return replace(case, seed=seed, id=f"{_as_file_name(called)}_{whole.hexdigest()[:10]}")
 
 

@@ -13,6 +13,7 @@ from ddpc_cosim.codec import declared_fields, read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
+from ddpc_cosim.distributions import Distribution, Sampling
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.files.durations import seconds_of
 from ddpc_cosim.files.tables import plain_table
@@ -115,8 +116,8 @@ class Scenario:
     ----------
     label : str
         Its name for people; empty: that in the problem.
-    parameters : mapping of str to float, int, bool or str
-        Plant parameters in this scenario.
+    parameters : mapping of str to float, int, bool, str or Distribution
+        Plant parameters in this scenario, in place of the problem's.
     noise : GaussianNoise or mapping of str to float
         Standard deviation of the noise of each measurement, in its unit.
     conditions : Conditions
@@ -140,7 +141,7 @@ class Scenario:
     """
 
     label: str = ""
-    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterValue | Distribution] = field(default_factory=dict)
     noise: GaussianNoise | Mapping[str, float] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()
@@ -223,8 +224,11 @@ class Problem:
     recording_start : float, str or date, optional
         Time of the experiment's first sample [s]; default: with known disturbances it ends where the loop
         begins, else 0.
-    parameters : mapping of str to float, int, bool or str
-        Plant parameters.
+    parameters : mapping of str to float, int, bool, str or Distribution
+        Plant parameters; of a distribution each seed draws its own, the same for all controllers.
+    sampling : {"independent", "latin-hypercube", "sobol"}
+        How seeds draw parameters: each for itself; of n seeds one in each n-th part of a distribution; or
+        as the point of the Sobol sequence that has the seed as its number.
     noise, conditions, events
         Of the scenario ``nominal``, where ``scenarios`` has none: see :class:`Scenario`.
     scenarios : mapping of str to Scenario
@@ -311,7 +315,8 @@ class Problem:
     recorded_inputs: Mapping[str, Reference] = field(default_factory=dict)
     recorded_disturbances: Mapping[str, Reference] = field(default_factory=dict)
     recording_start: float | str | date | None = None
-    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterValue | Distribution] = field(default_factory=dict)
+    sampling: Sampling = "independent"
     noise: GaussianNoise | Mapping[str, float] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
     events: Sequence[ParameterChange] = ()

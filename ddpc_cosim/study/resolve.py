@@ -12,6 +12,7 @@ from ddpc_cosim.codec import Section, ValidationErrors, independent, write
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.description import PlantDescription, switch_faults
+from ddpc_cosim.distributions import Distribution
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.files.csv_files import forget_cells
 from ddpc_cosim.files.durations import in_words
@@ -114,6 +115,8 @@ class ResolvedStudy:
         Why a controller cannot be run: one of its calls has not returned within the time limit.
     lacking : dict of str to str
         What a controller needs that is not installed: its cases fail.
+    spread : tuple of Variable
+        The parameters that seeds draw, in any scenario; their values differ from case to case.
     """
 
     study: Study
@@ -139,6 +142,7 @@ class ResolvedStudy:
     recording: Recording | None
     late: dict[str, str]
     lacking: dict[str, str]
+    spread: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,6 +330,7 @@ class _Resolution:
             lacking={
                 controller.name: controller.lacking for controller in self.controllers if controller.lacking
             },
+            spread=tuple(self.variables.parameters[name] for name in sorted(self._spread())),
         )
 
     def _metrics(self) -> MetricSettings:
@@ -496,12 +501,39 @@ class _Resolution:
         check_parameters(errors, (*_PLANT, "start"), "input", section.start, self.variables.inputs)
         parameters = self.variables.parameters
         check_parameters(errors, (*_PLANT, "parameters"), "parameter", section.parameters, parameters)
+        self._check_spread()
         for controller in self.controllers if not self.plant.is_fmu else ():
             if PLANT in files_of(type(controller.controller), controller.settings):
                 kind = "consists of parts" if self.plant.coupled else "is a Python class"
                 kind = "is identified from data" if self.plant.identified else kind
                 what = f'"{PLANT}" stands for the FMU of the plant, which {kind}'
                 errors.add(controller.place, what)
+
+    def _spread(self) -> dict[str, list[Place]]:
+        """Return the parameters that seeds draw, and where the study says it."""
+        study, spread = self.study, dict[str, list[Place]]()
+        said: list[tuple[Place, Mapping[str, Any]]] = [((*_PLANT, "parameters"), study.plant.parameters)]
+        said += [(("scenarios", n, "parameters"), s.parameters) for n, s in study.scenarios.items()]
+        for place, values in said:
+            for name, value in values.items():
+                if isinstance(value, Distribution):
+                    spread.setdefault(name, []).append((*place, name))
+        return spread
+
+    @independent
+    def _check_spread(self) -> None:
+        """Check that what seeds draw are real numbers of the plant, and that there are such."""
+        spread = self._spread()
+        for name, places in spread.items():
+            signal = self.variables.signal(name)
+            if signal is None or signal.source.values == "real":
+                continue
+            what = f"{name} is of type {signal.source.type}, and a distribution draws real numbers"
+            for place in places:
+                self.errors.add(place, f"{what}; give it one value")
+        if not spread and self.study.plant.sampling != "independent":
+            what = "no parameter has a distribution, so that seeds draw nothing; leave it out"
+            self.errors.add((*_PLANT, "sampling"), what, (*_PLANT, "parameters"), ("scenarios",))
 
     @independent
     def _check_sampling(self, identified: IdentifiedSpec) -> None:
@@ -538,7 +570,7 @@ class _Resolution:
                 errors.add((*controller.place[:-1], "type"), f"{what}; {hint}")
 
     def _check_not_switched_off(
-        self, place: Place, values: Mapping[str, ParameterValue], driven: Collection[str]
+        self, place: Place, values: Mapping[str, ParameterValue | Distribution], driven: Collection[str]
     ) -> None:
         """Report values that leave an input to the plant which controllers drive."""
         for name, switch in self.variables.switches.items():

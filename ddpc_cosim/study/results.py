@@ -58,6 +58,8 @@ _STUDY_CHECKSUM = "study sha256"
 _RUNS, CASES_RUN = "runs", "cases run"
 _MOST_LISTED = 8
 _LOGO, _LARGEST_LOGO = "logo", 300_000
+_PARAMETER = "parameter"
+"""What the columns of plant parameters that seeds have drawn begin with."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -196,7 +198,8 @@ class StudyResults:
     def frame(self) -> "pd.DataFrame":
         """Return one row per case: what it was, how it ended, and its metrics, a column each, as metrics.csv.
 
-        ``variant`` tells variants of a problem by the study's sweep apart.
+        ``variant`` tells variants of a problem by the study's sweep apart; plant parameters that a seed has
+        drawn are columns such as ``parameter mass [kg]``.
         """
         import pandas as pd
 
@@ -213,6 +216,7 @@ class StudyResults:
                 "reason": case.reason or case.failure,
                 "failed": case.failed,
                 "settles": case.settles,
+                **{f"{_PARAMETER} {name}": value for name, value in case.drawn.items()},
                 **case.metrics,
             }
             for case in self.cases
@@ -727,9 +731,12 @@ def write_metrics(results: StudyResults) -> None:
 def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
+    parameters = list(dict.fromkeys(name for case in cases for name in case.drawn))
     has_variants = any(problem.variant_of for problem in study.problems.values())
     header = ["study", "problem", *["variant"] * has_variants, "plant", "controller", "scenario"]
-    header += ["seed", "outcome", "failed", "settles", *map(printable, keys)]
+    header += ["seed", "outcome", "failed", "settles"]
+    header += [printable(f"{_PARAMETER} {name}") for name in parameters]
+    header += map(printable, keys)
     rows = []
     for case in cases:
         problem = study.problems[case.problem]
@@ -745,6 +752,7 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
                 case.outcome,
                 case.failed,
                 "" if case.settles is None else case.settles,
+                *(case.drawn.get(name, "") for name in parameters),
                 *(case.metrics.get(key, math.nan) for key in keys),
             ]
         )

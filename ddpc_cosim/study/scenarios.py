@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from ddpc_cosim.codec import Section, declared_fields, independent
 from ddpc_cosim.conditions import Conditions, all_conditions, may_have
+from ddpc_cosim.distributions import Distribution
 from ddpc_cosim.errors import ConfigError, Place
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop.setup import end_time, late_error
@@ -38,11 +39,11 @@ class Scenarios:
             self._check_start((*place, "start_time"), scenario)
             for i, event in enumerate(scenario.events):
                 self._check_in_run((*place, "events", i), event, "time", scenario)
-                self._check_event((*place, "events", i), event, tunable)
+                self._check_event((*place, "events", i, "parameters"), event, tunable, scenario)
             for i, drift in enumerate(scenario.drifts):
                 self._check_in_run((*place, "drifts", i), drift, "from_time", scenario)
                 for key in ("parameter", "from_value", "to_value"):
-                    self._check_drift((*place, "drifts", i), drift, key, tunable)
+                    self._check_drift((*place, "drifts", i), drift, key, tunable, scenario)
                 self._check_drift_begins((*place, "drifts", i, "to_time"), drift, scenario)
 
     @independent
@@ -120,14 +121,36 @@ class Scenarios:
             self.errors.add((*place, key), late, *self._on_start(place))
 
     @independent
-    def _check_event(self, place: Place, event: ParameterChange, tunable: Mapping[str, Variable]) -> None:
-        check_parameters(self.errors, (*place, "parameters"), "tunable parameter", event.parameters, tunable)
+    def _check_event(
+        self,
+        place: Place,
+        event: ParameterChange,
+        tunable: Mapping[str, Variable],
+        scenario: ScenarioSection,
+    ) -> None:
+        check_parameters(self.errors, place, "tunable parameter", event.parameters, tunable)
+        for name in event.parameters:
+            self._check_not_spread((*place, name), name, scenario)
+
+    def _check_not_spread(self, place: Place, name: str, scenario: ScenarioSection) -> None:
+        """Report the change of a parameter that seeds draw: after it all seeds have the same one."""
+        if isinstance({**self.study.plant.parameters, **scenario.parameters}.get(name), Distribution):
+            what = f"each seed draws its own {name}, and this puts the same number in place of all of them"
+            self.errors.add(place, f"{what}; leave it out, or set parameters.{name} of the scenario")
 
     @independent
-    def _check_drift(self, place: Place, drift: Drift, key: str, tunable: Mapping[str, Variable]) -> None:
+    def _check_drift(
+        self,
+        place: Place,
+        drift: Drift,
+        key: str,
+        tunable: Mapping[str, Variable],
+        scenario: ScenarioSection,
+    ) -> None:
         value, at = getattr(drift, declared_fields(Drift)[key].name), (*place, key)
         if key == "parameter":
             self.errors.require_known(at, "tunable parameter", [value], tunable)
+            self._check_not_spread(at, value, scenario)
         else:
             check_value(self.errors, at, value, tunable.get(drift.parameter))
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim.codec import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.description import PlantDescription
+from ddpc_cosim.distributions import Distribution
 from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.loop.setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
@@ -246,14 +247,32 @@ def check_parameters(
     errors: ValidationErrors,
     place: Place,
     what: str,
-    values: Mapping[str, ParameterValue],
+    values: Mapping[str, ParameterValue | Distribution],
     known: Mapping[str, Variable],
 ) -> None:
     """Report parameters that are not known, and values outside their limits."""
     errors.require_known(place, what, values, known)
     for name, value in values.items():
-        if not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
+        if isinstance(value, Distribution):
+            _check_distribution(errors, (*place, name), value, known.get(name))
+        elif not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
             check_value(errors, (*place, name), value, known.get(name))
+
+
+@independent
+def _check_distribution(
+    errors: ValidationErrors, place: Place, distribution: Distribution, parameter: Variable | None
+) -> None:
+    """Report a distribution that reaches beyond its parameter's limits."""
+    if parameter is None or distribution.has_faults:
+        return
+    low, high = distribution.support
+    if low < parameter.min:
+        reaches = f"draws below {parameter.min:g}, which {parameter.name} must not be"
+        errors.add(place, f"{reaches}; set low = {parameter.min:g} or higher")
+    if high > parameter.max:
+        reaches = f"draws above {parameter.max:g}, which {parameter.name} must not be"
+        errors.add(place, f"{reaches}; set high = {parameter.max:g} or lower")
 
 
 def check_value(errors: ValidationErrors, place: Place, value: float, parameter: Variable | None) -> None:

@@ -51,8 +51,11 @@ def single_case(
     alone = replace(resolved, problems={chosen: resolved.problems[chosen]})
     with demanded(sandboxed):
         plant = built_plants(alone.problems, progress)[chosen]
-    single = _of_one_case(alone.problem, controller, within, study.seeds[0] if seed is None else seed)
-    (case,) = cases_of(single, plant)
+    chosen_seed = study.seeds[0] if seed is None else seed
+    single = _of_one_case(alone.problem, controller, within, chosen_seed)
+    # A plant that is drawn as one of many is that of the study's own case.
+    among = study.seeds if chosen_seed in study.seeds else [chosen_seed]
+    case = next(case for case in cases_of(single, plant, among) if case.seed == chosen_seed)
     if case.late:
         raise ConfigError(f'controller "{controller}": {case.late}')
     return (replace(case, sandbox=require()) if sandboxed else case), single

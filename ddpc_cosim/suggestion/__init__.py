@@ -215,7 +215,7 @@ def suggest_study(
     plant = (
         system.section(sample) if system else PlantSection(fmu=str(path.resolve()), library_path=libraries)
     )
-    plant = replace(plant, parameters=request.parameters(description))
+    plant = replace(plant, parameters={**request.parameters(description)})
     proposal = _propose(plant, point, sample, title, (drives_too, reads_too))
     if isinstance(system, LoggedSystem):
         proposal = system.learnt(proposal)

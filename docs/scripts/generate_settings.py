@@ -16,7 +16,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from ddpc_cosim import SettingInfo, declared_settings
-from ddpc_cosim.codec import KIND, Kinds, declared_fields, shown, write_in_short
+from ddpc_cosim.codec import KIND, Kinds, declared_fields, kind_key, shown, write_in_short
 from ddpc_cosim.plugins import load_plugin
 
 DOCS = Path(__file__).parents[1]
@@ -45,7 +45,7 @@ def keys_table(kind: type[Any]) -> str:
     """Return what a table of a study file is, and the table of its keys in Markdown."""
     about = (inspect.getdoc(kind) or "").partition("\n")[0].replace("``", "`")
     rows = [about, "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
-    rows += [f'| `{KIND}` | | `"{kind.kind}"` | |'] if hasattr(kind, KIND) else []
+    rows += [f'| `{kind_key(kind)}` | | `"{kind.kind}"` | |'] if hasattr(kind, KIND) else []
     for key, field in declared_fields(kind).items():
         value = None if field.is_required else _short(field.default())
         default = "" if value in ({}, [], "", None, math.inf) else f"`{_toml(value)}`"
@@ -69,7 +69,7 @@ def _allowed(hint: Any, info: SettingInfo) -> str:
         kinds = next((argument for argument in arguments if isinstance(argument, Kinds)), None)
         if kinds is None:
             return _allowed(arguments[0], info)
-        return " or ".join(f"table with `{key}`" for key in (KIND, *kinds.marked))
+        return " or ".join(f"table with `{key}`" for key in (kinds.key, *kinds.marked))
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(_allowed(a, info) for a in arguments if a is not NoneType))
     if origin is Literal:

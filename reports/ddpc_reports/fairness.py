@@ -52,12 +52,14 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
     if not conditions or not conditions[0].controllers:
         return []
     first, identified = conditions[0], results.study.plant.identified
+    drawn = list(dict.fromkeys(name for case in results.cases for name in case.drawn))
     topics = {
         "Preview": _by_scenario(conditions, _preview),
         "Measurements": [_measurements(first)],
         "Disturbances": _by_scenario(conditions, _disturbances) if results.study.disturbances else [],
         "Prices": [_prices(first)] if results.study.prices else [],
         "Plant": [_Terms(Markup.escape(terms_of_plant(identified)), alike=True)] if identified else [],
+        "Plants": [_plants(drawn)] if drawn else [],
         "Seeds": _seeds(results, first),
         "Limits": [_limits(first)],
         "Recording": _by_scenario(conditions, _recording),
@@ -101,6 +103,13 @@ def _seen(controller: ControllerResults, trace: Trace | None) -> _Fact:
     ahead = as_given(computed(trace.preview * trace.sampling_time))
     what = f"{counted(trace.preview, 'sample')} of the future reference ({with_unit(ahead, 's')})"
     return _Fact(f"sees {what}", f"see {what}")
+
+
+def _plants(drawn: Sequence[str]) -> _Terms:
+    """Say what differs from seed to seed, given names of parameters with their units."""
+    what = join_words([clipped(name.partition(" [")[0]) for name in drawn])
+    text = Markup("Each seed has a plant of its own ({}), the same for all, and no controller is told which.")
+    return _Terms(text.format(what), alike=True)
 
 
 def _measurements(first: Condition) -> _Terms:

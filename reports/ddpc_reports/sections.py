@@ -16,6 +16,7 @@ from ddpc_cosim.files.tables import Table
 from ddpc_cosim.files.texts import clipped, without_folders
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.findings import Findings, findings_of
+from ddpc_cosim.study.verdicts.reliability import Reliability, reliability
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
@@ -46,6 +47,12 @@ from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.planes import plane_figure
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
+from ddpc_reports.reliability import (
+    association_table,
+    reliability_statements,
+    reliability_table,
+    tail_figures,
+)
 from ddpc_reports.requirements import overall_words, requirements_table, requirements_words
 from ddpc_reports.sensitivity import (
     effects_table,
@@ -588,6 +595,7 @@ class _Part:
             ("planes", "Phase plane", self._each(self._planes)),
             ("why", "Why they lost", self._each(_why_blocks)),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
+            ("reliability", "How often it fails", self._each(self._reliability)),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
             ("key-figures", "Key figures", self._each(_key_figures_blocks)),
@@ -651,6 +659,24 @@ class _Part:
             *_figures([*figures[:1], *(replace(figure, folded=True) for figure in figures[1:])], prefix),
             *_statements(said),
             *_tables(*certainty_tables(condition, prefix)),
+        ]
+
+    @cached_property
+    def reliabilities(self) -> list[Reliability]:
+        """How each controller does over the seeds of each scenario."""
+        return reliability(self.results.study, self.results.cases)
+
+    def _reliability(self, condition: Condition, prefix: str) -> list[Block]:
+        shown = [item for item in self.reliabilities if item.scenario == condition.scenario]
+        shown.sort(key=lambda item: [*condition.by_key].index(item.controller))
+        if not shown:
+            return []
+        figures = tail_figures(condition, shown, prefix) if condition in self.budget.spread else []
+        return [
+            *_statements(reliability_statements(condition, shown)),
+            *_tables(reliability_table(condition, shown, prefix)),
+            *_figures(figures, prefix),
+            *_tables(association_table(condition, shown, prefix)),
         ]
 
     def _planes(self, condition: Condition, prefix: str) -> list[Block]:

@@ -37,6 +37,7 @@ PUBLIC_MODULES |= {
         "ranks",
         "requirements",
         "sentences",
+        "reliability",
         "shares",
         "standings",
         "statistics",

@@ -5,6 +5,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -451,3 +452,37 @@ def key_figures_of(folder: Path, area: float, sources: dict[str, list[str]]) -> 
 
 def key_figures_in(metrics: dict[str, float]) -> dict[str, float]:
     return {key: value for key, value in metrics.items() if re.match(r"\w+_(tot|rat) ", key)}
+
+
+def failure_interval(failed: int, runs: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of a probability, by halving where sums of binomial terms are 1/40."""
+
+    def at_most(count: int, share: float) -> float:
+        return math.fsum(math.comb(runs, k) * share**k * (1 - share) ** (runs - k) for k in range(count + 1))
+
+    def where(falling: Callable[[float], float], goal: float) -> float:
+        low, high = 0.0, 1.0
+        for _ in range(100):
+            middle = (low + high) / 2
+            low, high = (middle, high) if falling(middle) > goal else (low, middle)
+        return low
+
+    lower = where(lambda share: at_most(failed - 1, share), 39 / 40) if failed else 0.0
+    upper = where(lambda share: at_most(failed, share), 1 / 40) if failed < runs else 1.0
+    return lower, upper
+
+
+def quantile_places(runs: int, share: float) -> tuple[int, int] | None:
+    """Return between which two runs in order, counted from 1, a quantile lies with 95 %; None: none does."""
+    terms = [math.comb(runs, k) * share**k * (1 - share) ** (runs - k) for k in range(runs + 1)]
+    sums = [math.fsum(terms[: k + 1]) for k in range(runs + 1)]
+    low = next(k for k, total in enumerate(sums) if total >= 1 / 40)
+    high = next(k for k, total in enumerate(sums) if total >= 39 / 40) + 1
+    return (low, high) if low >= 1 and high <= runs else None
+
+
+def rank_correlation(one: list[float], other: list[float]) -> float:
+    """Return Spearman's correlation of values without ties, by the sum of squared rank differences."""
+    ranks = [[sorted(values).index(value) for value in values] for values in (one, other)]
+    count = len(one)
+    return 1 - 6 * sum((a - b) ** 2 for a, b in zip(*ranks, strict=True)) / (count * (count**2 - 1))

@@ -44,6 +44,15 @@ def fairness(results: StudyResults) -> dict[str, str]:
     return {topic: html.unescape(re.sub("<[^>]*>", "", text)) for topic, text in pairs}
 
 
+def test_plants_that_seeds_draw_are_the_same_for_all(make_results: MakeResults) -> None:
+    results = make_results(run, controllers())
+    drawn = {"mass [kg]": 1.1, "radius [m]": 0.2}
+    spread = replace(results, cases=tuple(replace(case, drawn=drawn) for case in results.cases))
+    said = "Each seed has a plant of its own (mass and radius), the same for all, and no controller is told"
+    assert said in fairness(spread)["The same for all"]
+    assert "plant of its own" not in "".join(fairness(results).values())
+
+
 def test_a_crash_does_not_make_a_controller_one_without_preview_and_recording(
     make_results: MakeResults,
 ) -> None:

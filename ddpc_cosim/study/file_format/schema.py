@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from ddpc_cosim.codec import KIND, Kinds, Prepared, Rule, Size, declared_fields
+from ddpc_cosim.codec import KIND, Kinds, Prepared, Rule, Size, declared_fields, kind_key
 from ddpc_cosim.files.durations import DURATION_SCHEMA
 from ddpc_cosim.plugins import installed
 from ddpc_cosim.settings import SettingInfo, Weight, declared_settings
@@ -98,7 +98,7 @@ class _Schemas:
     def of_class(self, kind: type[Any], *, partial: bool = False) -> Schema:
         """Return the schema of a table of a class; ``partial``: of what differs from another study's."""
         fields = declared_fields(kind)
-        properties: Schema = {KIND: {"const": kind.kind}} if hasattr(kind, KIND) else {}
+        properties: Schema = {kind_key(kind): {"const": kind.kind}} if hasattr(kind, KIND) else {}
         for key, field in fields.items():
             schema = self.of(field.hint, field.info, partial=partial)
             properties[key] = {"description": field.info.meaning} | schema
@@ -160,20 +160,21 @@ class _Schemas:
         return schema
 
     def _of_kinds(self, kinds: Kinds) -> Schema:
+        key_of_kind = kinds.key
         by_kind = [
             {
-                "if": {"properties": {KIND: {"const": name}}, "required": [KIND]},
+                "if": {"properties": {key_of_kind: {"const": name}}, "required": [key_of_kind]},
                 "then": self._reference(kind, partial=False),
             }
             for name, kind in kinds.classes.items()
         ]
         if kinds.default:
             default = self._reference(kinds.classes[kinds.default], partial=False)
-            by_kind.append({"if": {"not": {"required": [KIND]}}, "then": default})
-        required = {} if kinds.default else {"required": [KIND]}
+            by_kind.append({"if": {"not": {"required": [key_of_kind]}}, "then": default})
+        required = {} if kinds.default else {"required": [key_of_kind]}
         schema: Schema = {
             "type": "object",
-            "properties": {KIND: {"enum": list(kinds.classes)}},
+            "properties": {key_of_kind: {"enum": list(kinds.classes)}},
             **required,
             "allOf": by_kind,
         }

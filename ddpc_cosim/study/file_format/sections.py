@@ -25,6 +25,7 @@ from ddpc_cosim.codec import (
 )
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.coupling.wiring import Connection
+from ddpc_cosim.distributions import ParameterDistribution, Sampling
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.files.durations import MOMENT_SCHEMA, in_words, moment_of
 from ddpc_cosim.files.logs import LogFormat
@@ -234,7 +235,14 @@ class PlantSection(Section):
     measurements: list[str] = setting(
         [], doc="what the controller may measure; empty: the controlled outputs"
     )
-    parameters: dict[str, Value] = setting({}, doc="parameters that differ from the plant's defaults")
+    parameters: dict[str, Value | ParameterDistribution] = setting(
+        {}, doc="parameters that differ from the plant's defaults; of a distribution each seed draws its own"
+    )
+    sampling: Sampling = setting(
+        "independent",
+        doc="how seeds draw parameters: each for itself; one in each n-th part of a distribution of n seeds; "
+        "or the point of the Sobol sequence that has the seed as its number",
+    )
     start: dict[str, float] = setting(
         {}, doc="values that inputs start from and rest at, in their units; empty: the plant's own"
     )
@@ -543,7 +551,9 @@ class ScenarioSection(Section):
     """What every controller is run under; without any there is one, ``nominal``, with nothing in it."""
 
     label: Text = setting("", doc="name in reports; empty: the key of the section")
-    parameters: dict[str, Value] = setting({}, doc="plant parameters in this scenario")
+    parameters: dict[str, Value | ParameterDistribution] = setting(
+        {}, doc="plant parameters in this scenario, in place of those of the plant"
+    )
     noise: dict[str, float] = setting(
         {}, doc="standard deviation of the noise of each measurement, in its unit", low=0
     )

@@ -13,6 +13,7 @@ from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
 from ddpc_cosim.study.verdicts.knowing import Knowing
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
+from ddpc_cosim.study.verdicts.reliability import FailureRate
 from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
 
@@ -283,6 +284,16 @@ def untested_sentence(findings: Findings) -> str:
 def failed_runs(label: str, failed: int, runs: int) -> Markup:
     """Say how many runs of a controller failed, after its name."""
     return bold(label) + f" {failed} of {runs} runs"
+
+
+def rate_words(rate: FailureRate) -> str:
+    """Say on how many seeds a controller fails, and what that tells of all seeds."""
+    low, high = (f"{100 * end:.2g}" for end in (rate.low, rate.high))
+    if not rate.failed:
+        return f"none of {rate.seeds} seeds (up to {high}\u00a0%)"
+    if rate.failed == rate.seeds:
+        return f"each of {rate.seeds} seeds (from {low}\u00a0% on)"
+    return f"{rate.failed} of {rate.seeds} seeds ({100 * rate.share:.2g}\u00a0%, from {low} to {high}\u00a0%)"
 
 
 def not_counted_sentence(names: Sequence[str]) -> Markup:

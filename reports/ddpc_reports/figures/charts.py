@@ -228,6 +228,30 @@ def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: floa
     return _chart_of_rows(rows, [layer(line, encoding, None, _NOT_HIDDEN)], 300)
 
 
+def tail_chart(rows: list[dict[str, Any]], names: Sequence[str], title: str) -> Spec:
+    """Return a step line for each controller: which share of the runs is as bad as a value, or worse.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``key``, ``value`` and ``share`` (of 1, above 0), by controller, the share falling.
+    names : sequence of str
+        Columns of the controllers.
+    title : str
+        Metric and unit.
+    """
+    x = field("value", title) | _axis_of([row["value"] for row in rows], title)
+    least = min(row["share"] for row in rows)
+    low = 0.8 * least
+    axis = {"values": log_ticks(low, 1.0), "format": "~%"}
+    y = field("share", "share of the runs, logarithmic")
+    y |= {"scale": {"type": "log", "domain": [low, 1.0], "nice": False}, "axis": axis}
+    line = {"type": "line", "strokeWidth": 1.8, "interpolate": "step-before"}
+    encoding = {"x": x, "y": y, "color": colours_of(names), "strokeDash": dashes_of(names)}
+    encoding["order"] = {"value": None}  # that of the rows
+    return _chart_of_rows(rows, [layer(line, encoding, None, _NOT_HIDDEN)], 300)
+
+
 def _from_least_to_most(rows: list[dict[str, Any]], y: Spec, hue: Spec) -> Spec:
     """Return the line of each row from its least to its largest value, dashed as its controller."""
     ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]

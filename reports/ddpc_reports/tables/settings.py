@@ -12,6 +12,7 @@ import numpy as np
 
 from ddpc_cosim import (
     CosimError,
+    Distribution,
     Drift,
     ForecastFile,
     Price,
@@ -656,6 +657,9 @@ def value_text(value: Any, *, nested: bool = False) -> str:
         entries = ((_plain(name), value_text(entry, nested=True)) for name, entry in value.items())
         pairs = ", ".join(f"{name} = {text}" for name, text in entries)
         return pairs if pairs and not nested else f"{{{pairs}}}"
+    if isinstance(value, Distribution):
+        table = write(value)
+        return f"{table.pop(value.kind_key)} ({value_text(table)})"
     return _plain(without_folders(str(value)))
 
 

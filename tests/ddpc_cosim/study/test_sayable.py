@@ -34,8 +34,10 @@ from ddpc_cosim import (
     KnownDisturbance,
     Linear,
     Log,
+    LogNormal,
     MixedExcitation,
     Multisine,
+    Normal,
     ParameterChange,
     Price,
     Problem,
@@ -52,10 +54,12 @@ from ddpc_cosim import (
     Steps,
     Study,
     Sum,
+    Triangular,
+    Uniform,
     UniformRandom,
     WhiteNoise,
 )
-from ddpc_cosim.codec import KIND, Kinds, declared_fields
+from ddpc_cosim.codec import Kinds, declared_fields
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.metrics import all_metrics
 from ddpc_cosim.responses import SampledSignal
@@ -120,7 +124,7 @@ def pendulum(**changes: Any) -> Problem:
     """A problem that can be resolved, with all that does not need files."""
     rough = Scenario(
         label="Rough",
-        parameters={"mass": 1.1},
+        parameters={"mass": Uniform(0.9, 1.2)},
         noise=GaussianNoise({"angle": 0.01}),
         conditions=Conditions(
             disturbances={"torque": [Steps([0.5], [0.1]), WhiteNoise(0.1, 0.2, unit="N.m")]},
@@ -148,7 +152,12 @@ def pendulum(**changes: Any) -> Problem:
         "bounds": {"torque": (-3.5, 3.5), "angle": {"max": 90.0, "unit": "deg"}},
         "excitation": UniformRandom(-3.5, 3.5, samples=80),
         "stabiliser": PID(proportional=2.0),
-        "parameters": {"mass": 1.05},
+        "parameters": {
+            "mass": Normal(1.05, 0.1, low=0.5, high=1.5),
+            "gravity": LogNormal(9.81, 1.01, low=9.0, high=10.0),
+            "torque_gain": Triangular(0.9, 1.0, 1.2),
+        },
+        "sampling": "sobol",
         "scenarios": {"nominal": Scenario(), "rough": rough},
         "preview": 3,
         "start_time": 2.0,
@@ -402,7 +411,7 @@ def classes_of(hint: Any, table: Any = None) -> Sequence[Any]:
     if get_origin(hint) is Annotated:
         kinds = next((argument for argument in get_args(hint) if isinstance(argument, Kinds)), None)
         if kinds and table is not None:
-            return [kinds.marked_in(table) or kinds.classes[table.get(KIND, kinds.default)]]
+            return [kinds.marked_in(table) or kinds.classes[table.get(kinds.key, kinds.default)]]
         return (
             [*kinds.classes.values(), *kinds.marked.values()]
             if kinds
