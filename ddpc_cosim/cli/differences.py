@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ddpc_cosim.controller import OK
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.metrics import metric_of, split_key
@@ -54,14 +55,21 @@ def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: 
     first, second = case.trace(), other.trace()
     if len(first) != len(second):
         return f"{len(first)} samples, other {len(second)}"
+    # In C a step tells whether it is a fallback in words of its own, and no more of itself.
+    is_one_engine = case.engine == other.engine
     unequal = [
-        k for k, pair in enumerate(zip(first.status, second.status, strict=True)) if len(set(pair)) > 1
+        k
+        for k, (ours, theirs) in enumerate(zip(first.status, second.status, strict=True))
+        if (ours != theirs if is_one_engine else (ours == OK) != (theirs == OK))
     ]
     if unequal:
         k = unequal[0]
         return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
     for kind in (_signals, _metrics):  # what is computed from signals that differ says no more
-        ours, theirs = kind(case, first), kind(other, second)
+        ours, theirs = (
+            {name: values for name, values in table.items() if is_one_engine or not name.startswith("info.")}
+            for table in (kind(case, first), kind(other, second))
+        )
         if single := sorted(ours.keys() ^ theirs.keys()):
             return f"{', '.join(single)}: only in one of them"
         parts = {name: _excess(values, theirs[name], absolute, relative) for name, values in ours.items()}
