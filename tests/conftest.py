@@ -1,9 +1,11 @@
 """What all tests share: a cache folder, the pendulum as an FMU, the command line as a process."""
 
+import contextlib
 import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,12 +32,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 COMPILE = """
-import contextlib, importlib, pkgutil
+import ast, contextlib, importlib, pkgutil
+
+def imported(module):  # libraries that are heavy are imported within functions
+    source = importlib.util.find_spec(module).loader.get_source(module)
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module
+
 for package in ("fmu_plants", "ddpc_cosim", "ddpc_controllers", "ddpc_reports"):
     for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
         if not module.name.endswith("__main__"):
-            with contextlib.suppress(Exception):  # tests say what is wrong with it
-                importlib.import_module(module.name)
+            for name in (module.name, *imported(module.name)):
+                with contextlib.suppress(Exception):  # tests say what is wrong with it
+                    importlib.import_module(name)
 """
 
 
@@ -43,6 +55,7 @@ def _compile_once(config: pytest.Config) -> None:
     """Where no bytecode is written, keep that of the packages: hundreds of processes would compile them.
 
     The processes of the tests read it, and write none: a module that a test writes anew is never an old one.
+    They look for that of libraries in the same place alone: what has been compiled of them is linked there.
     """
     writing = dict(os.environ)
     if not writing.pop("PYTHONDONTWRITEBYTECODE", ""):
@@ -50,6 +63,16 @@ def _compile_once(config: pytest.Config) -> None:
     folder = tempfile.TemporaryDirectory(prefix="ddpc-cosim-bytecode-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
     os.environ["PYTHONPYCACHEPREFIX"] = writing["PYTHONPYCACHEPREFIX"] = folder.name
+    for kind in ("stdlib", "purelib"):
+        library = Path(sysconfig.get_path(kind))
+        for cache in library.rglob("__pycache__"):
+            if {"test", "tests"} & {*cache.relative_to(library).parts}:  # many, and not imported
+                continue
+            place = Path(folder.name) / cache.parent.relative_to(cache.anchor)
+            place.mkdir(parents=True, exist_ok=True)
+            for compiled in cache.glob(f"*.{sys.implementation.cache_tag}.pyc"):
+                with contextlib.suppress(OSError):  # not every system lets everyone link
+                    (place / compiled.name).symlink_to(compiled)
     subprocess.run([sys.executable, "-c", COMPILE], env=writing, check=True)
 
 

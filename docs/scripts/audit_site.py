@@ -3,6 +3,8 @@
 Run ``python docs/scripts/audit_site.py SITE [PAGE ...]`` with the folder that ``sphinx-build`` has written.
 It prints what is at fault, and ends with 1 if anything is: a link that leads nowhere, and what axe-core finds
 violated or cannot judge.
+Colours are judged once for each look of a text and its backgrounds, not anew on every page: the same
+sidebar, code or table is told to be at fault on the first page that has it.
 """
 
 import os
@@ -38,15 +40,44 @@ prototype.parseString = function (text) {
   return Object.assign(this, known.get(text));
 };
 """
+# Text that looks alike upon the same backgrounds has the same contrast on every page: one of each is judged.
 _FAULTS = """
-const done = arguments[arguments.length - 1];
+const [inColour, rules, judged, done] = arguments, looks = new Map([[null, ""]]), examples = new Map();
 document.querySelectorAll("details:not(aside *)").forEach((fold) => { fold.open = true; });
+const text = ["color", "fill", "fontSize", "fontWeight", "textShadow"];
+const behind = { backgroundColor: "rgba(0, 0, 0, 0)", backgroundImage: "none", opacity: "1", filter: "none",
+  position: "static", textDecorationLine: "none", borderBottomWidth: "0px", mixBlendMode: "normal" };
+const look = (element) => {
+  if (!looks.has(element)) {
+    const style = getComputedStyle(element), around = look(element.parentElement);
+    const painted = Object.keys(behind).filter((name) => style[name] !== behind[name]);
+    const own = `${painted.map((name) => style[name])}/${text.map((name) => style[name])}`;
+    looks.set(element, painted.length || !around.endsWith(own) ? `${around} ${own}` : around);
+  }
+  return looks.get(element);
+};
+document.body.querySelectorAll("*").forEach((element) => {
+  const says = [...element.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim());
+  const judgeable = !element.closest("[aria-hidden=true], [aria-disabled=true], :disabled, [inert]");
+  if ((says || element.matches("input, select, textarea")) && judgeable && element.checkVisibility())
+    if (!judged.includes(look(element))) examples.set(look(element), element.closest("a") ?? element);
+});
+const told = ({ violations, incomplete }) => Object.entries({ violations, incomplete }).flatMap(
+  ([kind, found]) => found.flatMap(({ id, nodes }) =>
+    nodes.map(({ html }) => `${kind}, ${id}: ${html.slice(0, 150)}`)));
 const options = { resultTypes: ["violations", "incomplete"] };
-if (arguments[0].length) options.runOnly = arguments[0];
-axe.run(document, options).then((said) => done(
-  ["violations", "incomplete"].flatMap((kind) => said[kind].flatMap(({ id, nodes }) =>
-    nodes.map(({ html }) => `${kind}, ${id}: ${html.slice(0, 150)}`)))
-));
+(async () => {
+  const faults = [];
+  if (!inColour) {
+    const others = Object.fromEntries(rules.map((rule) => [rule, { enabled: false }]));
+    faults.push(...told(await axe.run(document, { ...options, rules: others })));
+  }
+  if (examples.size) {
+    const include = [...examples.values()];
+    faults.push(...told(await axe.run({ include }, { ...options, runOnly: rules })));
+  }
+  done([faults, [...examples.keys()]]);
+})();
 """
 
 
@@ -85,6 +116,7 @@ def faults_of(pages: Sequence[str], address: str) -> list[str]:
     browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
     browser.set_script_timeout(300)
     faults = []
+    judged: dict[int, list[str]] = {width: [] for width in WIDTHS}
     try:
         for page in pages:
             browser.get(f"{address}/{page}")
@@ -97,8 +129,10 @@ def faults_of(pages: Sequence[str], address: str) -> list[str]:
                 for width in WIDTHS:
                     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
                     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-                    rules = [] if theme == THEMES[0] else COLOUR_RULES
-                    said = browser.execute_async_script(_FAULTS, rules)
+                    said, looks = browser.execute_async_script(
+                        _FAULTS, theme != THEMES[0], COLOUR_RULES, judged[width]
+                    )
+                    judged[width] += looks
                     faults += [f"{page}, {theme}, {width} wide: {fault}" for fault in said]
     finally:
         browser.quit()

@@ -1,7 +1,7 @@
 """Every controller of the built-in studies that can be exported: its C code decides as it does."""
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,8 @@ BOUND = 1e-8
 LAST_DIGIT = 2.0**-52
 MOST = 45
 """Cases of a study: spread evenly where there are more."""
+LONGEST = 250
+"""Samples of a case: all that a controller keeps of the past has been replaced several times by then."""
 
 REFUSED = {
     "spsa": "it draws random perturbations of its gains for as long as it runs",
@@ -92,7 +94,7 @@ def cases_of(study: str) -> list[Case]:
         cases_of_all += [case for case in of_problem if case.scenario == of_problem[0].scenario]
     chosen = sorted(cases_of_all, key=lambda case: case.section["type"])[:: -(-len(cases_of_all) // MOST)]
     assert {case.section["type"] for case in chosen} == {case.section["type"] for case in cases_of_all}
-    return chosen
+    return [replace(case, duration=min(case.duration, LONGEST * case.sampling_time)) for case in chosen]
 
 
 @pytest.mark.parametrize("study", sorted(path.stem for path in STUDIES.glob("*.toml")))

@@ -21,8 +21,8 @@ pytestmark = pytest.mark.xdist_group("studies")
 
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
-ELSEWHERE = ("benchmark", "buildings", "forecast", "paper")  # have tests of their own
-LONG = ("mimo", "noise", "prices", "time-varying", "tuning", "unstable")
+ELSEWHERE = ("benchmark", "buildings", "forecast", "paper", "prices")  # have tests of their own
+LONG = ("mimo", "noise", "time-varying", "tuning", "unstable")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in sorted(path.stem for path in STUDIES.glob("*.toml"))
@@ -96,7 +96,10 @@ def metric(case: CaseResult, name: str) -> float:
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_every_case_ends_and_holds_its_input_bounds_exactly(name: str, results_of: Results) -> None:
-    results = results_of(name)
+    check_that_cases_end_within_bounds(results_of(name))
+
+
+def check_that_cases_end_within_bounds(results: StudyResults) -> None:
     assert results.study.summary.strip().endswith(".")
     for case in results.cases:
         assert case.outcome is Outcome.COMPLETED, case.reason
@@ -108,12 +111,16 @@ def test_every_case_ends_and_holds_its_input_bounds_exactly(name: str, results_o
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_figures_of_the_response_are_those_of_the_samples(name: str, results_of: Results) -> None:
-    results = results_of(name)
+    check_figures(results_of(name))
+
+
+def check_figures(results: StudyResults) -> None:
+    """Check the figures of the first seed: no figure is computed otherwise for another one."""
     preview = int(results.provenance["largest preview"].removesuffix(" samples"))
     with (results.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     for case, row in zip(results.cases, rows, strict=True):
-        if case.seed != results.cases[0].seed:  # no figure is computed otherwise for another seed
+        if case.seed != results.cases[0].seed:
             continue
         figures = figures_of(case.folder, preview)
         actual = {key: float(row[key] or "nan") for key in figures}

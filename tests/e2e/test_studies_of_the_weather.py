@@ -7,13 +7,14 @@ from statistics import median
 import numpy as np
 import pytest
 
-from ddpc_cosim import CaseResult, Outcome, StudyResults, load_results
+from ddpc_cosim import CaseResult, StudyResults, load_results
 from ddpc_cosim.study.verdicts.findings import findings_of
 from tests.studies import run_file
 
+from .test_studies import STUDIES, check_figures, check_that_cases_end_within_bounds
+
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("weather")]
 
-STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 SEEDS = range(6)
 """As few as tell anything apart."""
 
@@ -79,7 +80,8 @@ def test_who_does_not_use_it_does_the_same_in_all_scenarios(run_once: Callable[[
 
 def test_economic_control_costs_less_at_no_more_discomfort(run_once: Callable[[str], Path]) -> None:
     (results,) = problems(run_once("prices")).values()
-    assert all(case.outcome is Outcome.COMPLETED for case in results.cases)
+    check_that_cases_end_within_bounds(results)
+    check_figures(results)
 
     def medians(controller: str, scenario: str) -> tuple[float, float]:
         cases = [case for case in results.cases if (case.controller, case.scenario) == (controller, scenario)]

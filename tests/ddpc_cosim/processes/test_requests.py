@@ -290,7 +290,7 @@ class Silent:
 # does what was half made.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(100, marks=pytest.mark.slow)])
 def test_no_request_at_a_random_moment_of_a_run_is_lost(
     count: int, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
