@@ -95,8 +95,6 @@ copybutton_selector = "div.highlight-python pre, div.highlight-sh pre, div.highl
 REPORTS = dict.fromkeys(plugin_names("studies"), (0, 1)) | {"paper": (5489, 0, 1, 2)}
 del REPORTS["benchmark"]
 """Built-in studies that are run for the site, and on which seeds; `benchmark` takes too long."""
-TOO_LONG = {"buildings": "nmpc"}
-"""Controllers that take longer than all others together, by study: the site does without them."""
 
 _SIZE = 20.0
 _INVISIBLE = dict.fromkeys((0x2061, 0x2063, 0xFE00))
@@ -155,12 +153,7 @@ def _run_studies(app: Sphinx) -> None:
     reports.mkdir(parents=True, exist_ok=True)
     for name, seeds in REPORTS.items():
         folder = Path(app.doctreedir, "runs", name)
-        study = name
-        if name in TOO_LONG:
-            study = Path(app.doctreedir, f"{name}.toml")
-            text = f'name = "{name}"\nextends = "{name}"\ncontrollers.{TOO_LONG[name]} = false\n'
-            study.write_text(text, encoding="utf-8")
-        results = ddpc_cosim.Study.read(study).run(folder, jobs=2, seeds=seeds, progress=False)
+        results = ddpc_cosim.Study.read(name).run(folder, jobs=2, seeds=seeds, progress=False)
         shutil.copy(results.report(), reports / f"{name}.html")
 
 

@@ -2,10 +2,13 @@
 
     min  sum_k |h(x_k) - r_k|_Q^2 + |u_k-1 - u_k-2|_R^2,   x_k+1 = F(x_k, u_k + d, t_k, w_k),   u_k in limits
 
-by direct multiple shooting (H. G. Bock, K. J. Plitt, IFAC World Congress 1984) and IPOPT (A. Waechter, L. T.
-Biegler, Math. Program. 106, 2006, doi:10.1007/s10107-004-0559-y), both by way of CasADi (J. A. E. Andersson
-et al., Math. Program. Comput. 11, 2019, doi:10.1007/s12532-018-0139-4). States and a constant disturbance d
-are estimated by an extended Kalman filter that starts from the model's own start values.
+by direct collocation at Radau points (L. T. Biegler, Comput. Chem. Eng. 8, 1984,
+doi:10.1016/0098-1354(84)87012-X), where poles are too fast for it by multiple shooting (H. G. Bock, K. J.
+Plitt, IFAC World Congress 1984), and IPOPT (A. Waechter, L. T. Biegler, Math. Program. 106, 2006,
+doi:10.1007/s10107-004-0559-y), both by way of CasADi (J. A. E. Andersson et al., Math. Program. Comput. 11,
+2019, doi:10.1007/s12532-018-0139-4). Each begins from the plan before, moved on by a sample, and its
+multipliers. States and a constant disturbance d are estimated by an extended Kalman filter that starts from
+the model's own start values.
 
 Known disturbances w are what is measured of them now and their forecast. Of an output b in a band [l, h] it
 is ``q_b (max(0, h_b(x_k) - h_k)^2 + max(0, l_k - h_b(x_k))^2)`` that counts, q_b being its element of Q's
@@ -17,7 +20,7 @@ the plant is made of. It is not told what else acts on the plant: unknown distur
 change in a scenario.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar
@@ -133,7 +136,8 @@ class NMPC(Foresight, Exportable):
         self._program(plant, loop)
         self._w: FloatArray | None = None
         self._sampling_time = loop.sampling_time
-        self._guess, self._planned = self._held(), False
+        self._guess, self._multipliers = self._held(), dict[str, FloatArray]()
+        self._planned = False
 
     def _program(self, plant: PlantEquations, loop: Loop) -> None:
         """Set up the nonlinear program, in parts of nominal values: states first, then inputs."""
@@ -148,7 +152,7 @@ class NMPC(Foresight, Exportable):
         u_unit = np.abs([variable.nominal for variable in loop.inputs])
         y_unit = np.abs([variable.nominal for variable in loop.outputs])
         self._u_unit = u_unit
-        states, inputs = ca.MX.sym("x", n, steps), ca.MX.sym("u", m, steps)
+        states, inputs = ca.MX.sym("x", n * plant.points, steps), ca.MX.sym("u", m, steps)
         known = {
             name: ca.MX.sym(name, *shape)
             for name, shape in {
@@ -163,12 +167,15 @@ class NMPC(Foresight, Exportable):
                 "price": (len(loop.charges) if self._charged else 0, steps + 1),
             }.items()
         }
-        x = ca.repmat(plant.start, 1, steps) + states * ca.repmat(plant.nominal, 1, steps)
+        start, unit = np.tile(plant.start, plant.points), np.tile(plant.nominal, plant.points)
+        z = ca.repmat(start, 1, steps) + states * ca.repmat(unit, 1, steps)
+        x = z[-n:, :]
         u = inputs * ca.repmat(u_unit, 1, steps)
         d, times = ca.repmat(known["d"], 1, steps), known["t"] + loop.sampling_time * ca.DM(range(steps)).T
         before = ca.horzcat(known["x"], x[:, :-1])
         w = [known["w"]] if plant.acting else []
-        defects = (plant.advance.map(steps)(before, u, d, times, *w) - x) / ca.repmat(plant.nominal, 1, steps)
+        left = plant.defects.map(steps)(ca.reshape(z, n, -1), before, u, d, times, *w)
+        defects = ca.reshape(left, n * plant.points, steps) / ca.repmat(unit, 1, steps)
         seen = plant.output.map(steps)(x, u, d, times + loop.sampling_time, *w)
         y = seen[:p, :]
         errors = (y - known["r"]) / ca.repmat(y_unit, 1, steps)
@@ -198,7 +205,7 @@ class NMPC(Foresight, Exportable):
             elif charge.signal in signals:
                 cost += amount * ca.dot(price[:, 1:], seen[signals.index(charge.signal), :])
         self._low, self._high = (
-            np.concatenate([np.full(n * steps, side), np.tile(bound / u_unit, steps)])
+            np.concatenate([np.full(n * plant.points * steps, side), np.tile(bound / u_unit, steps)])
             for side, bound in ((-np.inf, loop.bounds.u_min), (np.inf, loop.bounds.u_max))
         )
         options = {
@@ -208,9 +215,9 @@ class NMPC(Foresight, Exportable):
                 "print_level": 0,
                 "sb": "yes",
                 "max_iter": self.iterations,
-                "tol": 1e-6,
+                "tol": 1e-8,
                 "warm_start_init_point": "yes",
-                "mu_init": 1e-3,
+                "mu_init": 1e-6,
                 **(_PRECISE if self._charged or self._in_band or loop.moving_limits else {}),
             },
         }
@@ -250,12 +257,12 @@ class NMPC(Foresight, Exportable):
             self._filter.correct(self._signals(y, measured), self._u, before, time)
             self._filter.predict(u, w, time)
             self._u, self._w = u, w
-        self._guess, self._past = self._held(), None
+        self._guess, self._multipliers, self._past = self._held(), {}, None
 
     def _held(self) -> tuple[FloatArray, FloatArray]:
         """Return a guess of the plan: states at their start, and inputs held, in parts of nominal values."""
         inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
-        return np.zeros((len(self._plant.start), self.horizon)), inputs
+        return np.zeros((len(self._plant.start) * self._plant.points, self.horizon)), inputs
 
     def _acting(self, disturbances: FloatArray, begin: float) -> FloatArray:
         """Return what acts over samples from a time on [s], shape (samples, n_w), of tables midway."""
@@ -286,6 +293,7 @@ class NMPC(Foresight, Exportable):
         if not np.isfinite(sample.reference).all():
             return self._u, HELD_WITHOUT_REFERENCE, 0.0
         states, inputs = self._guess
+        shapes = states.shape, inputs.shape
         known = [self._filter.x, self._filter.d, self._u, sample.reference.ravel(), np.array([sample.time])]
         known.append(w.ravel())
         if self._in_band:
@@ -296,7 +304,8 @@ class NMPC(Foresight, Exportable):
             known.append(sample.price[: self.horizon + 1].ravel())
         low, high = self._limits_now(sample)
         solution = self._solver(
-            x0=np.concatenate([states.ravel("F"), inputs.ravel("F")]),
+            x0=_joined(self._guess),
+            **self._multipliers,
             p=np.concatenate(known),
             lbx=low,
             ubx=high,
@@ -305,13 +314,17 @@ class NMPC(Foresight, Exportable):
         )
         statistics = self._solver.stats()
         if statistics["success"]:
-            plan = solution["x"].full()[:, 0]
-            states = plan[: states.size].reshape(states.shape, order="F")
-            inputs = plan[states.size :].reshape(inputs.shape, order="F")
+            states, inputs = _parts(solution["x"], *shapes)
+            of_bounds, of_states = _parts(solution["lam_x"], *shapes), _parts(solution["lam_g"], shapes[0])
+            self._multipliers = {
+                "lam_x0": _joined(map(_next, of_bounds)),
+                "lam_g0": _joined(map(_next, of_states)),
+            }
             self._planned, status = True, ""
         else:
             instead = "the next inputs of the last plan are applied" if self._planned else LAST_HELD
             status = f"{statistics['return_status']}: {instead}"
+            self._multipliers = {}
         u = np.clip(inputs[:, 0] * self._u_unit, self._u_min, self._u_max)
         self._guess = _next(states), _next(inputs)
         return u, status, float(statistics["iter_count"])
@@ -349,6 +362,18 @@ class NMPC(Foresight, Exportable):
 def _outside(ca: Any, y: Any, low: Any, high: Any) -> Any:
     """Return the squares of what is outside of two edges."""
     return ca.sumsqr(ca.fmax(y - high, 0.0)) + ca.sumsqr(ca.fmax(low - y, 0.0))
+
+
+def _joined(parts: Iterable[FloatArray]) -> FloatArray:
+    """Return matrices of a column per sample as one vector, as the nonlinear program has them."""
+    return np.concatenate([part.ravel("F") for part in parts])
+
+
+def _parts(vector: Any, *shapes: tuple[int, int]) -> list[FloatArray]:
+    """Return the matrices that a vector of CasADi's is made of."""
+    ends = np.cumsum([rows * columns for rows, columns in shapes])
+    parts = np.split(vector.full()[:, 0], ends[:-1])
+    return [part.reshape(shape, order="F") for part, shape in zip(parts, shapes, strict=True)]
 
 
 def _next(plan: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from typing import Any
 from warnings import catch_warnings
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim import (
     ConfigError,
@@ -29,9 +30,25 @@ from ddpc_cosim.plugins import installed, load_plugin
 
 _STEP_TIMES_POLE = 2.0
 """Runge-Kutta steps of fourth order are stable up to 2.78."""
+_LONGEST_STIFF = 8.0
+"""Sampling time times pole beyond which collocation need not converge: friction at rest is such a pole."""
 _MOST_STEPS = 200
 _STATE_NOISE = 1e-4
 """In parts of nominal values, per sample: a state that nothing drives must not be taken for known exactly."""
+_RADAU = ((4 - 6**0.5) / 10, (4 + 6**0.5) / 10, 1.0)
+"""Points of the collocation of order 5 that is stiffly accurate, Radau IIA."""
+
+
+def _derivatives() -> FloatArray:
+    """Return what values at 0 and at the points make of derivatives at the points, shape (4, 3)."""
+    points = np.array([0.0, *_RADAU])
+    powers = np.arange(len(points))
+    of_values = np.linalg.inv(points[:, np.newaxis] ** powers)  # of a polynomial: its coefficients
+    at_points = powers[1:] * points[1:, np.newaxis] ** (powers[1:] - 1)
+    return (at_points @ of_values[1:]).T
+
+
+_DERIVATIVES = _derivatives()
 
 
 def casadi() -> Any:
@@ -114,6 +131,11 @@ class PlantEquations:
         States that the model starts from.
     nominal : array, shape (n,)
         Their nominal values.
+    defects : casadi.Function
+        What states at points of a sample, shape (n, points), leave of the equations, as a function of
+        them and of the arguments of ``advance``; the last of them is x+.
+    points : int
+        How many points a sample has: those of a collocation, or, where poles are too fast, its end alone.
     disturbances : int
         Size of d.
     acting : int
@@ -169,16 +191,28 @@ class PlantEquations:
             for variables in (loop.inputs, loop.disturbances)
         )
         usual = self.of_acting(usual[np.newaxis], np.zeros(1))[0]
-        self.steps = _steps(
-            ca,
-            slope,
-            (self.start, rest, np.zeros(self.disturbances), 0.0, *_given(usual)),
-            loop.sampling_time,
-        )
+
+        def at(x: Any, t: Any) -> Any:
+            return slope(x, u, d, t, *arguments[4:])
+
+        at_start = self.start, rest, np.zeros(self.disturbances), 0.0, *_given(usual)
+        poles = loop.sampling_time * _poles(ca, slope, at_start)
+        fastest = np.abs(poles).max(initial=0.0)
+        self.steps = int(np.clip(np.ceil(fastest / _STEP_TIMES_POLE), 2, _MOST_STEPS))
         h, end = loop.sampling_time / self.steps, x
         for i in range(self.steps):
-            end = _runge_kutta(lambda x, t: slope(x, u, d, t, *arguments[4:]), end, t + i * h, h)
+            end = _runge_kutta(at, end, t + i * h, h)
         self.advance = ca.Function("advance", arguments, [end])
+
+        swings = np.abs(poles.imag).max(initial=0.0)
+        if fastest > _LONGEST_STIFF or swings > _STEP_TIMES_POLE:
+            z = ca.SX.sym("z", n, 1)
+            left = end - z
+        else:
+            z = ca.SX.sym("z", n, len(_RADAU))
+            left = _collocation(ca, at, x, z, t, loop.sampling_time)
+        self.points = z.shape[1]
+        self.defects = ca.Function("defects", [z, *arguments], [ca.cse(left)])
 
     def of_acting(self, disturbances: FloatArray, times: FloatArray) -> FloatArray:
         """Return w at times [s], shape (samples, n_w), given the loop's disturbances then, (samples, n_d)."""
@@ -269,12 +303,11 @@ def _check_names(
         raise ConfigError(faults)
 
 
-def _steps(ca: Any, slope: Any, point: Sequence[Any], duration: float) -> int:
-    """Return how many Runge-Kutta steps make a sample, by the fastest mode where the plant starts."""
+def _poles(ca: Any, slope: Any, point: Sequence[Any]) -> NDArray[np.complex128]:
+    """Return the eigenvalues where the plant starts [1/s], shape (n,)."""
     arguments = slope.sx_in()
     jacobian = ca.Function("jacobian", arguments, [ca.jacobian(slope(*arguments), arguments[0])])
-    fastest = np.abs(np.linalg.eigvals(jacobian(*point).full())).max(initial=0.0)
-    return int(np.clip(np.ceil(duration * fastest / _STEP_TIMES_POLE), 2, _MOST_STEPS))
+    return np.linalg.eigvals(jacobian(*point).full()).astype(np.complex128)
 
 
 def _runge_kutta(slope: Callable[[Any, Any], Any], x: Any, t: Any, h: float) -> Any:
@@ -283,6 +316,13 @@ def _runge_kutta(slope: Callable[[Any, Any], Any], x: Any, t: Any, h: float) -> 
     k3 = slope(x + h / 2 * k2, t + h / 2)
     k4 = slope(x + h * k3, t + h)
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _collocation(ca: Any, slope: Callable[[Any, Any], Any], x: Any, inside: Any, t: Any, h: float) -> Any:
+    """Return what a polynomial from x on through further states leaves of the equations there, times h."""
+    points = ca.horzcat(x, inside)
+    slopes = [slope(z, t + c * h) for z, c in zip(ca.horzsplit(inside), _RADAU, strict=True)]
+    return points @ _DERIVATIVES - h * ca.horzcat(*slopes)
 
 
 def _given(w: FloatArray) -> tuple[FloatArray, ...]:
