@@ -407,8 +407,7 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     digest = case.recording.digest if case.recording else None
     shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
     for seed, of_seed in driven.items():
-        own = replace(case, parameters=of_seed.parameters)
-        yield _with_seed(own, seed, case.name_with(seed), shared)
+        yield _with_seed(case, seed, of_seed.parameters, case.name_with(seed), shared)
 
 
 def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
@@ -919,7 +918,7 @@ def cases_of_problem(
             content = content or _code_and_files(case) | recording
             shared = _hash_of(case, content)
             for seed, called in chosen:
-                yield _with_seed(replace(case, parameters=plants[name][seed]), seed, called, shared)
+                yield _with_seed(case, seed, plants[name][seed], called, shared)
 
 
 def _spread(resolved: "ResolvedStudy", scenario: "ScenarioSection") -> tuple[Variable, ...]:
@@ -959,12 +958,15 @@ def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | Non
     return recording.begins(study.loop.of(scenario), is_disturbed=bool(study.disturbances))
 
 
-def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:
+def _with_seed(
+    case: Case, seed: int, parameters: dict[str, ParameterValue], called: str, shared: "hashlib._Hash"
+) -> Case:
     whole = shared.copy()
     whole.update(str(seed).encode())
     if case.spread:  # ids of other cases do not know of it
-        whole.update(repr(case.drawn).encode())
-    return replace(case, seed=seed, id=f"{_as_file_name(called)}_{whole.hexdigest()[:10]}")
+        whole.update(repr([(name, parameters[name]) for name in names(case.spread)]).encode())
+    id = f"{_as_file_name(called)}_{whole.hexdigest()[:10]}"
+    return replace(case, seed=seed, parameters=parameters, id=id)
 
 
 def _as_file_name(called: str) -> str:

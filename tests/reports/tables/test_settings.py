@@ -47,7 +47,16 @@ CONTENT: dict[str, Any] = {
         "inputs": ["torque"],
         "outputs": ["angle"],
         "measurements": ["angle", "speed"],
-        "parameters": {"mass": 2.0, "mode": "soft", "stiff": True},
+        "parameters": {
+            "mass": 2.0,
+            "mode": "soft",
+            "stiff": True,
+            "length": {"distribution": "normal", "mean": 1.0, "deviation": 0.1, "low": 0.5, "high": 2.0},
+            "depth": {"distribution": "log-normal", "median": 1.0, "factor": 1.5, "low": 0.5, "high": 3.0},
+            "width": {"distribution": "uniform", "low": 1.0, "high": 2.5},
+            "height": {"distribution": "triangular", "low": 1.0, "mode": 1.5, "high": 2.5},
+        },
+        "sampling": "sobol",
         "start": {"torque": 0.25},
         "display_units": {"angle": "deg"},
         "nominal": {"angle": 0.5},
@@ -363,7 +372,7 @@ def alternatives(value: Any) -> list[Any]:
 
 
 _WORDS = ("model-exchange", "co-simulation", "rest", "hold", "schroeder", "linear", "sequential")
-_WORDS += ("low", "money", "refuse", "dd/mm/yyyy", "utf-16", "Europe/London")
+_WORDS += ("low", "money", "refuse", "dd/mm/yyyy", "utf-16", "Europe/London", "independent")
 
 
 def changes(content: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
@@ -500,7 +509,11 @@ def test_studies_that_differ_in_one_value_read_differently(results: StudyResults
         place = f"{path} = {value!r}"
         assert seen.setdefault(text(other), place) == place
         tried.add(path)
-    fixed = {path for path, _ in changes(settings) if path[-1] == "kind" and path[0] != "controllers"}
+    fixed = {
+        path
+        for path, _ in changes(settings)
+        if path[-1] in ("kind", "distribution") and path[0] != "controllers"
+    }
     fixed |= {("metrics", "key_figures", "set"), ("recording", "part")}  # there is one; it has two ends
     assert {path for path, _ in changes(settings)} - tried == fixed
 
