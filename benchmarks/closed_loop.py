@@ -86,7 +86,7 @@ def trials(count: int) -> dict[str, list[Controller]]:
     for _ in range(count):
         shared = DeePC(
             horizon=int(rng.integers(5, 25)),
-            initial_length=int(rng.integers(4, 18)),
+            initial_length=int(rng.integers(4, 40)),
             input_weight=float(10 ** rng.uniform(-7.0, 0.0)),
             artificial_setpoint=bool(rng.integers(2)),
             use_current_output=True,
