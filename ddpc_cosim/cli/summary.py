@@ -19,6 +19,7 @@ from ddpc_cosim.study.verdicts.baselines import against, with_baseline
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of, overall_findings
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    beyond_log_clause,
     knowing_clause,
     lead_clause,
     ranks_differ_clause,
@@ -311,6 +312,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
         lines.append(lead_clause(findings, names, scenarios).striptags())
     if ranking.seeds > 1 and (few := too_few_seeds_clause(ranking.compared.values())):
         lines.append(few)
+    if beyond := beyond_log_clause(results.cases):
+        lines.append(beyond.striptags())
     if findings.requirements:
         lines += findings.requirements.lines
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:

@@ -115,6 +115,9 @@ class CaseResult:
         From its first sample to its last [s].
     versions : dict of str to str
         Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
+    beyond_log : dict of str to float
+        By input and output, in what share of the samples it was outside what the logs recorded that its plant
+        is identified from, where it ever was.
     """
 
     id: str
@@ -142,6 +145,7 @@ class CaseResult:
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    beyond_log: dict[str, float] = field(default_factory=dict)
 
     @property
     def is_own_control(self) -> bool:
@@ -201,6 +205,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
             versions=dict(run.get("versions", {})),
+            beyond_log=dict(run.get("beyond_log", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -317,6 +322,7 @@ def _further(trace: Trace) -> dict[str, Any]:
         "monitored_bands": list(trace.monitored_bands),
         "substeps": trace.substeps if trace.substeps > 1 else None,
         "intersample_signals": [asdict(variable) for variable in trace.intersample_signals],
+        "beyond_log": trace.beyond_log,
     }
     return {key: value for key, value in further.items() if value}
 
@@ -643,6 +649,7 @@ def read_trace(folder: Path) -> Trace:
         moving_limits=tuple(moving),
         input_limits=pairs(inputs, moving, limits, (bounds.u_min, bounds.u_max)),
         output_limits=pairs(outputs, moving, limits, (bounds.y_min, bounds.y_max)),
+        beyond_log=dict(run.get("beyond_log", {})),
         charges=tuple(charges),
         price=of_charges("price"),
         emission=of_charges("emission"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import block_diag
+from scipy.signal import lfilter
 
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
 from ddpc_cosim.identification.arx import choose_delays
