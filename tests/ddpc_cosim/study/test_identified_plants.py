@@ -209,7 +209,8 @@ def test_terminal_and_report_say_who_left_the_log(tmp_path: Path) -> None:
     study = Study.read(write(tmp_path, text))
     results = study.run(tmp_path / "results", jobs=1, progress=False)
     words = "eyond what the log recorded, where a model from it says nothing, went"
-    console = Console(width=200, file=StringIO())
+    printed = StringIO()
+    console = Console(width=200, file=printed)
     console.print(summary_table(results, console))
-    assert words in console.file.getvalue()
+    assert words in printed.getvalue()
     assert words in results.report().read_text(encoding="utf-8")
