@@ -7,12 +7,12 @@ samples wrong; where a stronger excitation is allowed it is hardly seen. DeePC w
 instruments for closed loop is tuned by the same random trials, regulariser and its weight among them, on two
 seeds and by the figure that it is judged by: the median of the settled error, of other seeds. That is the
 size of the mean error at the end of a step, so that the noise, which no controller can remove, averages out
-of it. Every seed has its own recording.
-The past may be long, since what it leaves out of a plant's memory biases both.
+of it. Every seed has its own recording. The past may be long, since what it leaves out of a plant's memory
+biases both.
 
 Measured so far with six trials: 0.33 on the drive and 0.51 on the pendulum, both clear of chance; with twelve
-0.91 on the pendulum, within chance. On the cart-pendulum, tried with shorter pasts, nothing is gained against the
-ridge: most of the settled error there comes from the noise in the loop, whatever the data. So the bound
+0.91 on the pendulum, within chance. On the cart-pendulum, tried with shorter pasts, nothing is gained against
+the ridge: most of the settled error there comes from the noise in the loop, whatever the data. So the bound
 does not hold.
 
     python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 6 --seeds 8
