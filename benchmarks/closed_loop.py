@@ -7,8 +7,13 @@ samples wrong; where a stronger excitation is allowed it is hardly seen. DeePC w
 instruments for closed loop is tuned by the same random trials, regulariser and its weight among them, on two
 seeds and by the figure that it is judged by: the median of the settled error, of other seeds. That is the
 size of the mean error at the end of a step, so that the noise, which no controller can remove, averages out
-of it. Every seed has its own recording. Measured so far, the bound holds on the pendulum alone: against the
-ridge nothing is gained on the cart-pendulum, and what is gained on the drive is within chance.
+of it. Every seed has its own recording. The past may be long, since what it leaves out of a plant's memory
+biases both.
+
+Measured so far with six trials: 0.33 on the drive and 0.51 on the pendulum, both clear of chance; with twelve
+0.91 on the pendulum, within chance. On the cart-pendulum, tried with shorter pasts, nothing is gained against
+the ridge: most of the settled error there comes from the noise in the loop, whatever the data. So the bound
+does not hold.
 
     python -m benchmarks.closed_loop cart-pendulum two-mass-drive pendulum --trials 6 --seeds 8
 """
@@ -86,7 +91,7 @@ def trials(count: int) -> dict[str, list[Controller]]:
     for _ in range(count):
         shared = DeePC(
             horizon=int(rng.integers(5, 25)),
-            initial_length=int(rng.integers(4, 18)),
+            initial_length=int(rng.integers(4, 40)),
             input_weight=float(10 ** rng.uniform(-7.0, 0.0)),
             artificial_setpoint=bool(rng.integers(2)),
             use_current_output=True,

@@ -157,7 +157,8 @@ class Recording:
         **format
             How the files are read, and what is done about what is wrong with them: ``time_column``,
             ``time_tolerance``, ``dates``, ``time_zone``, ``encoding``, ``gaps``, ``missing``,
-            ``duplicates``, ``resample`` and ``outliers``, as the keys of ``recording`` in a study file.
+            ``missing_values``, ``duplicates``, ``resample`` and ``outliers``, as the keys of ``recording`` in
+            a study file.
 
         Raises
         ------

@@ -82,6 +82,7 @@ def messy_logs() -> Iterator[MessyLog]:
     yield MessyLog("stuck sensor", {"log.csv": _log(stuck)}, {}, stuck)
     yield _at_two_rates(values)
     yield _with_outliers(values)
+    yield _with_codes(values)
     yield _with_tags(values)
 
 
@@ -201,6 +202,17 @@ def _with_outliers(values: FloatArray) -> MessyLog:
     said = ("2 outliers taken out", "2 cells interpolated")
     keys = {"outliers": 20.0, "missing": 1}
     return MessyLog("outliers", {"log.csv": _log(spiked)}, keys, expected, treatments=said)
+
+
+def _with_codes(values: FloatArray) -> MessyLog:
+    """A number where the logger had none, close enough together that no median tells it."""
+    coded, at = values.copy(), np.arange(len(values))
+    coded[[25, 26], 2] = -999.0
+    expected, known = values.copy(), np.isin(at, [25, 26], invert=True)
+    expected[:, 2] = np.interp(at, at[known], values[known, 2])
+    said = ("2 cells that hold a missing value's number", "2 cells interpolated")
+    keys = {"missing_values": [-999.0], "missing": 2}
+    return MessyLog("codes", {"log.csv": _log(coded)}, keys, expected, treatments=said)
 
 
 def _with_tags(values: FloatArray) -> MessyLog:

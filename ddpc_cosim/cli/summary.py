@@ -21,6 +21,7 @@ from ddpc_cosim.study.verdicts.judgement import set_aside
 from ddpc_cosim.study.verdicts.reliability import failure_rate, is_asked
 from ddpc_cosim.study.verdicts.sentences import (
     best_rank_clause,
+    beyond_log_clause,
     knowing_clause,
     lead_clause,
     ranks_differ_clause,
@@ -316,6 +317,8 @@ def _lines(results: StudyResults, findings: Findings, rows: Sequence[_Row]) -> l
         lines.append(few)
     if line := _failures_line(results, rows):
         lines.append(line)
+    if beyond := beyond_log_clause(results.cases):
+        lines.append(beyond.striptags())
     if findings.requirements:
         lines += findings.requirements.lines
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:

@@ -100,6 +100,8 @@ class LogTable:
         Cells that are not numbers and have been reported, by row and column.
     texts : tuple of str
         Headers of the columns that are left out, as they are not numbers.
+    codes : int
+        How many cells hold a number that stands for a missing value.
     """
 
     file: str
@@ -117,6 +119,7 @@ class LogTable:
     words: dict[tuple[int, int], str]
     reported: set[tuple[int, int]]
     texts: tuple[str, ...]
+    codes: int = 0
 
 
 class _Numbers:
@@ -600,10 +603,13 @@ class _Reader:
             self._wanted = [wanted for wanted in self._wanted if wanted.place not in texts]
         self._check_numbers(head, texts, lines)
         values = np.full((len(lines), len(self._wanted)), np.nan)
-        words, reported = dict[tuple[int, int], str](), set[tuple[int, int]]()
+        words, reported, codes = dict[tuple[int, int], str](), set[tuple[int, int]](), 0
         for n, wanted in enumerate(self._wanted):
             if wanted.place is not None and wanted.place not in texts:
-                values[:, n] = wanted.convert(self._numbers[wanted.place].values)
+                read = self._numbers[wanted.place].values
+                coded = np.isin(read, self._format.missing_values)
+                values[:, n] = wanted.convert(np.where(coded, np.nan, read))
+                codes += int(coded.sum())
                 words |= {(row, n): word for row, word in self._numbers[wanted.place].words.items()}
                 reported |= {(row, n) for row in self._numbers[wanted.place].odd}
         seconds, instants, untimed, remedy, are_local = self._time(head, len(lines))
@@ -623,6 +629,7 @@ class _Reader:
             words,
             reported,
             tuple(head.header[i] for i in texts) if self._columns is None else (),
+            codes,
         )
 
     def _check_numbers(self, head: _Head, texts: Sequence[int], lines: NDArray[np.int64]) -> None:

@@ -77,6 +77,9 @@ class LogFormat(Section):
         low=0,
         doc="how many samples in a row may be missing, and are interpolated; longer runs are gaps",
     )
+    missing_values: list[float] = setting(
+        [], doc="numbers that stand for a missing value, such as -999; a cell that holds one is missing"
+    )
     duplicates: Literal["refuse", "first", "last", "mean"] = setting(
         "refuse",
         doc="which of several rows of one time counts, or their mean; rows are put in the order of time",

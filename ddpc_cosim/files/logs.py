@@ -35,8 +35,8 @@ class Treatment(NamedTuple):
     Parameters
     ----------
     kind : str
-        ``"interpolated"``, ``"duplicates"``, ``"split"``, ``"left out"``, ``"resampled"``, ``"outliers"`` or
-        ``"sorted"``.
+        ``"interpolated"``, ``"duplicates"``, ``"split"``, ``"left out"``, ``"resampled"``, ``"outliers"``,
+        ``"codes"`` or ``"sorted"``.
     number : int
         To how many cells, rows or places.
     words : str
@@ -209,6 +209,8 @@ class _Treatments:
         if self._format.gaps == "split" and with_dates and len(pieces) > 1:
             pieces.sort(key=lambda rows: rows.time[0] if rows.time.size else np.inf)
             pieces = [_joined(pieces)]
+        kind = ("cell that holds a missing value's number", "cells that hold a missing value's number")
+        self._count("codes", *kind, sum(table.codes for table in tables))
         pieces = [self._in_order(rows) for rows in pieces]
         self._period = self._wanted_time or _usual([np.diff(rows.time) for rows in pieces])
         parts = list[_Rows]()

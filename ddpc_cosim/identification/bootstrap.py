@@ -1,13 +1,17 @@
 """How sure a model is: models of data that might have been recorded as well.
 
-One-step errors are white where the model is true: drawn with replacement, and run through the model with
-the inputs as they were recorded, they give another recording that might have been, of which a model is made
-as of the first (B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993, chapter 8). What an
+One-step errors are drawn with replacement, and run through the model with the inputs as they were recorded
+they give another recording that might have been, of which a model is made as of the first (B. Efron, R.
+Tibshirani, An Introduction to the Bootstrap, 1993, chapter 8). Where the model is true they are white; where
+something slow acts on the plant that no model of few coefficients explains they are not, and blocks of them
+are drawn, which keep what neighbours have in common (R. Brueggemann, C. Jentsch, C. Trenkler, J.
+Econometrics 191(1), 2016, doi:10.1016/j.jeconom.2015.10.004). What an
 unstable plant does with inputs that were decided for other noise says nothing: there other errors come to the
 same past (S. Goncalves, L. Kilian, J. Econometrics 123(1), 2004, doi:10.1016/j.jeconom.2003.10.030: the
 fixed-design bootstrap), and the model follows to first order.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -94,7 +98,7 @@ def _lifted_ensemble(
         if len(models) == members:
             break
         y = [
-            model.simulate(piece.u, piece.d, errors[rng.integers(0, len(errors), len(piece))], start)
+            model.simulate(piece.u, piece.d, _in_blocks(errors, len(piece), rng), start)
             for piece, start in zip(recording.pieces, starts, strict=True)
         ]
         again = replace(recording, y=np.vstack(y), measured=np.vstack(y))
@@ -116,10 +120,20 @@ def _centred(errors: FloatArray, spent: float) -> FloatArray:
 
 
 def _drawn(errors: FloatArray, stretches: Sequence[slice], rng: np.random.Generator) -> FloatArray:
-    """Return errors with replacement, of each stretch from those of the stretch."""
-    return np.concatenate(
-        [errors[rng.integers(rows.start, rows.stop, rows.stop - rows.start)] for rows in stretches]
-    )
+    """Return errors in blocks with replacement, of each stretch from those of the stretch."""
+    return np.concatenate([_in_blocks(errors[rows], rows.stop - rows.start, rng) for rows in stretches])
+
+
+def _in_blocks(errors: FloatArray, rows: int, rng: np.random.Generator) -> FloatArray:
+    """Return so many rows of blocks that begin anywhere; the first row follows on the last.
+
+    Their length is of the order that suits a variance best (P. Hall, J. Horowitz, B.-Y. Jing, Biometrika
+    82(3), 1995).
+    """
+    length = math.ceil(len(errors) ** (1.0 / 3.0))
+    begins = rng.integers(0, len(errors), -(-rows // length))
+    places = (begins[:, np.newaxis] + np.arange(length)).ravel()[:rows]
+    return np.asarray(errors[places % len(errors)])
 
 
 def _outputs(predictor: Predictor, samples: Samples, errors: FloatArray) -> FloatArray:
@@ -152,10 +166,37 @@ def gains(model: PlantModel) -> FloatArray:
 
 
 def gain_intervals(models: Sequence[PlantModel], level: float = 0.9) -> tuple[FloatArray, FloatArray]:
-    """Return between what gains lie for this share of an ensemble: low and high, shape (p, m) each."""
-    every = np.array([gains(model) for model in models])
-    low, high = np.quantile(every, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
-    return low, high
+    """Return the ends of intervals of gains, low and high, shape (p, m) each, from an ensemble."""
+    return interval(np.array([gains(model) for model in models]), level)
+
+
+def interval(values: FloatArray, level: float = 0.9) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of an interval that holds the true value in this share of recordings.
+
+    Models of drawn data are off the model that drew them as that one is off the plant, in bias too: their
+    quantiles are turned about it (A. Davison, D. Hinkley, Bootstrap Methods and their Application, 1997,
+    section 5.2.1). A quantile has its rank in one value more than there are, since with the order statistics'
+    own ranks those of few models lie too far inside.
+
+    Parameters
+    ----------
+    values : array, shape (models, ...)
+        A quantity of the model of all data, then of each of the others.
+    level : float
+        The share.
+
+    Returns
+    -------
+    low, high : array, shape of a value
+        Not finite where more models than are left out are infinite; NaN without other models, or where one is
+        not known.
+    """
+    estimate, others = values[0], values[1:]
+    if not len(others):
+        return np.full_like(estimate, np.nan), np.full_like(estimate, np.nan)
+    with np.errstate(invalid="ignore"):
+        near, far = np.quantile(others, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0, method="weibull")
+        return np.asarray(2.0 * estimate - far), np.asarray(2.0 * estimate - near)
 
 
 def matched_poles(

@@ -67,6 +67,22 @@ class Ensemble:
     samples: int
     treatments: tuple[str, ...]
 
+    def beyond(self, courses: Mapping[str, FloatArray]) -> dict[str, float]:
+        """Return in what share of its samples each signal was outside its range, where it ever was.
+
+        Parameters
+        ----------
+        courses : mapping of str to array, shape (T,)
+            Values of signals by name; those that are not finite do not count.
+        """
+        shares = dict[str, float]()
+        for name in courses.keys() & self.ranges.keys():
+            (low, high), course = self.ranges[name], courses[name][np.isfinite(courses[name])]
+            outside = (course < low) | (course > high)
+            if outside.any():
+                shares[name] = float(outside.mean())
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedSpec:

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.files.durations import in_words
-from ddpc_cosim.identification.bootstrap import gain_intervals, gains, matched_poles
+from ddpc_cosim.identification.bootstrap import gain_intervals, gains, interval, matched_poles
 from ddpc_cosim.identification.candidates import HORIZON
 from ddpc_cosim.identification.innovation import PlantModel
 from ddpc_cosim.identification.specification import IdentifiedSpec
-from ddpc_cosim.variables import names
+from ddpc_cosim.variables import FloatArray, names
 
 _LEVEL = 0.9
-_ENDS = ((1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0)
 _MOST_POLES = 4
 
 
@@ -41,7 +40,7 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
     low, high = gain_intervals(models, _LEVEL)
     outputs, inputs = names(ensemble.outputs), names(ensemble.inputs)[: len(best.u_0)]
     constants = [_time_constant(model) for model in models]
-    ends = np.quantile(constants, _ENDS)
+    ends = interval(np.array(constants), _LEVEL)
     return {
         "files": list(spec.identification.file),
         "samples": ensemble.samples,
@@ -56,7 +55,7 @@ def identified_data(spec: IdentifiedSpec) -> dict[str, Any]:
             }
             for i, output in enumerate(outputs)
         },
-        "time_constant": _interval(constants[0], *ends),
+        "time_constant": _positive(constants[0], *ends),
         "poles": _poles(models),
         "noise": dict(zip(outputs, np.sqrt(np.diag(best.covariance)).tolist(), strict=True)),
         "ranges": {name: list(ends) for name, ends in ensemble.ranges.items()},
@@ -106,8 +105,10 @@ def _poles(models: Sequence[PlantModel]) -> list[dict[str, Any]]:
             every = np.concatenate([[pole], cloud])
             radius, angle = np.minimum(np.abs(every), 1.0), np.abs(np.angle(every))
             kinds = {"time_constant": -h / np.log(radius), "period": 2.0 * np.pi * h / angle}
-            ends = {kind: np.quantile(values[1:], _ENDS) for kind, values in kinds.items()}
-            intervals = {kind: _interval(kinds[kind][0], *ends[kind]) for kind in kinds}
+            # The first of the cloud is the pole itself.
+            intervals = {
+                kind: _positive(values[0], *interval(values[1:], _LEVEL)) for kind, values in kinds.items()
+            }
             found.append({**intervals, "period": intervals["period"] if pole.imag else None})
     return found
 
@@ -116,6 +117,11 @@ def _time_constant(model: PlantModel) -> float:
     """Return that of the slowest pole [s]; infinite of one that does not decay."""
     radius = float(np.abs(np.linalg.eigvals(model.linear_part()[0])).max())
     return np.inf if radius >= 1.0 else -model.sampling_time / np.log(max(radius, np.finfo(float).tiny))
+
+
+def _positive(value: float, low: FloatArray, high: FloatArray) -> dict[str, float | None]:
+    # Where some models do not come to rest, the data do not tell where the interval begins.
+    return _interval(value, max(float(low), 0.0) if np.isfinite(low) else np.nan, float(high))
 
 
 def _interval(value: float, low: float, high: float) -> dict[str, float | None]:
@@ -127,7 +133,7 @@ def _range(interval: dict[str, float | None], unit: str, otherwise: str) -> str:
     value, low, high = interval["value"], interval["low"], interval["high"]
     if value is None:
         return otherwise
-    between = "" if low is None or high is None else f" (90 % of the models: {low:.4g} to {high:.4g})"
+    between = "" if low is None or high is None else f" (90 % interval: {low:.4g} to {high:.4g})"
     return f"{_number(value, unit)}{between}"
 
 

@@ -22,6 +22,7 @@ _DITHER = 0.5  # of an input's deviation
 _MOST_LISTED = 3
 _ROUNDED = 7200.0  # s: longer times are told roughly
 _INSTRUMENTS = "closed-loop"
+_CODES = {-999.0, -9999.0, -99999.0, 9999.0, 99999.0}  # that loggers write for a value that is not there
 _SHOWN_STEPS = (1, 2, 3, 5, 10, 15, 20, 30, 40)
 
 
@@ -153,6 +154,11 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
         if not column.role:
             continue
         signal = f'the {column.role} "{column.name}"'
+        for value in {column.minimum, column.maximum} & _CODES:
+            yield (
+                f"{signal} goes to {value:g}, which loggers write where they have no value; if it is that, "
+                f"say missing_values = [{value:g}]"
+            )
         if column.stuck:
             longest = max(column.stuck, key=lambda stretch: stretch.samples)
             times = f"{len(column.stuck)} times, the longest" if len(column.stuck) > 1 else "once,"

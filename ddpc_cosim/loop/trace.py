@@ -145,6 +145,9 @@ class Trace:
     acting : tuple of str
         Names of the declared disturbances, those that controllers know nothing of included; ``OWN_NOISE``
         where the plant has noise of its own.
+    beyond_log : dict of str to float
+        By input and output, in what share of the samples it was outside what the logs recorded that the plant
+        is identified from, where it ever was; the most first.
     state : bytes
         The plant's state at the last sample, where it was asked for and the run completed; else empty.
     """
@@ -196,6 +199,7 @@ class Trace:
     engine: str = ""
     intersample: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     acting: tuple[str, ...] = ()
+    beyond_log: dict[str, float] = field(default_factory=dict)
     state: bytes = b""
 
     def __len__(self) -> int:

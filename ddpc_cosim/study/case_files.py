@@ -120,6 +120,9 @@ class CaseResult:
         Python, as nothing else was.
     drawn : dict of str to float
         The plant parameters that its seed has drawn, by name and unit: ``"mass [kg]"``.
+    beyond_log : dict of str to float
+        By input and output, in what share of the samples it was outside what the logs recorded that its plant
+        is identified from, where it ever was.
     """
 
     id: str
@@ -149,6 +152,7 @@ class CaseResult:
     versions: dict[str, str] = field(default_factory=dict)
     engine: str = ""
     drawn: dict[str, float] = field(default_factory=dict)
+    beyond_log: dict[str, float] = field(default_factory=dict)
 
     @property
     def is_own_control(self) -> bool:
@@ -210,6 +214,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             versions=dict(run.get("versions", {})),
             engine=str(run.get("engine", "")),
             drawn=dict(run.get("drawn", {})),
+            beyond_log=dict(run.get("beyond_log", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -327,6 +332,7 @@ def _further(trace: Trace) -> dict[str, Any]:
         "substeps": trace.substeps if trace.substeps > 1 else None,
         "intersample_signals": [asdict(variable) for variable in trace.intersample_signals],
         "engine": trace.engine,
+        "beyond_log": trace.beyond_log,
     }
     return {key: value for key, value in further.items() if value}
 
@@ -653,6 +659,7 @@ def read_trace(folder: Path) -> Trace:
         moving_limits=tuple(moving),
         input_limits=pairs(inputs, moving, limits, (bounds.u_min, bounds.u_max)),
         output_limits=pairs(outputs, moving, limits, (bounds.y_min, bounds.y_max)),
+        beyond_log=dict(run.get("beyond_log", {})),
         charges=tuple(charges),
         price=of_charges("price"),
         emission=of_charges("emission"),

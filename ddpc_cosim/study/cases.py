@@ -550,6 +550,13 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
     Its rows, and what it is in, are written to a store, by default in memory.
     """
     trace = _trace(case, store)
+    if case.plant.identified and case.plant.identified.ensemble:
+        courses = {
+            variable.name: course
+            for signals, values in ((trace.inputs, trace.u), (trace.outputs, trace.y))
+            for variable, course in zip(signals, values.T, strict=True)
+        }
+        trace = replace(trace, beyond_log=case.plant.identified.ensemble.beyond(courses))
     return replace(trace, reason=f"{trace.reason}{_TRIED_AGAIN}") if trace.transient else trace
 
 

@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import Identification, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
-from ddpc_cosim.study.verdicts.sentences import italic, join_words
+from ddpc_cosim.study.verdicts.sentences import beyond_log_clause, italic, join_words, sentence
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 
 _ALL = 1.0
@@ -74,6 +74,8 @@ def limitations_of_plant(conditions: Sequence[Condition]) -> list[str]:
         return []
     ranges = conditions[0].results.provenance.get("recorded ranges", "")
     seeds = {seed for condition in conditions for seed in condition.seeds}
+    controllers = (controller for condition in conditions for controller in condition.controllers)
+    beyond = beyond_log_clause(case for controller in controllers for case in controller.cases)
     repeated = len(seeds) - len({seed % identified.members for seed in seeds})
     return [
         "The plant is a model from data. It does not know what the plant does beyond what was recorded"
@@ -81,6 +83,7 @@ def limitations_of_plant(conditions: Sequence[Condition]) -> list[str]:
         + "; what acted on it and was not recorded, which is in the noise, or in the model as if inputs had "
         "done it; what changes later; nor, where a controller was at work while data were recorded, what of "
         "the relation of inputs and outputs is that controller's.",
+        *([f"{sentence(beyond).striptags()}."] if beyond else []),
         *(
             [f"{repeated} of {len(seeds)} seeds play a model that another one plays too, and add less."]
             if repeated and identified.members > 1

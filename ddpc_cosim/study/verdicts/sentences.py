@@ -6,10 +6,12 @@ them, else in italics: a label may itself hold commas.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from statistics import fmean
 
 from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
 from ddpc_cosim.study.verdicts.knowing import Knowing
 from ddpc_cosim.study.verdicts.ranks import AverageRanks
@@ -19,6 +21,8 @@ from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
 
 _NAMED = 3
 """Controllers that are named where there are more."""
+_MATTERS = 0.01
+"""From which share of its samples on a run outside the log is said."""
 _MOST = 1000.0
 """From so many percent on, and of nothing, a difference is said in its unit."""
 
@@ -90,6 +94,32 @@ def lead_clause(
     name = (bold if findings.is_sure else italic)(controllers[first])
     medians = "has the best median" if len(ranking.keys) == 1 else "has the best medians"
     return Markup("{} {} {}").format(name, "is ahead" if findings.lead is Lead.AHEAD else medians, over)
+
+
+def beyond_log_clause(cases: Iterable[CaseResult]) -> Markup:
+    """Say who leaves what the logs recorded that the plant is identified from; nothing where none does."""
+    shares: dict[str, list[dict[str, float]]] = {}
+    for case in cases:
+        shares.setdefault(case.label, []).append(case.beyond_log)
+    means = {
+        label: {name: fmean(share.get(name, 0.0) for share in of_label) for name in set().union(*of_label)}
+        for label, of_label in shares.items()
+    }
+    leaving = {
+        label: (name, share)
+        for label, by_name in means.items()
+        for share, name in [max(((share, name) for name, share in by_name.items()), default=(0.0, ""))]
+        if share >= _MATTERS
+    }
+    if not leaving:
+        return Markup("")
+    parts = [
+        Markup("{} ({} in {:.2g} % of the samples)").format(italic(label), name, 100.0 * share)
+        for label, (name, share) in sorted(leaving.items(), key=lambda item: -item[1][1])
+    ]
+    return Markup("beyond what the log recorded, where a model from it says nothing, went {}").format(
+        some_of(parts)
+    )
 
 
 def over_words(ranking: Standings) -> str:

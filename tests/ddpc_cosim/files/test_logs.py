@@ -420,6 +420,7 @@ def test_a_parquet_file_says_what_its_cells_say_as_text(
         optional={
             "gaps": st.just("split"),
             "missing": st.just(2),
+            "missing_values": st.just([0.0, -999.0]),
             "duplicates": st.sampled_from(["first", "last", "mean"]),
             "resample": st.sampled_from(["hold", "linear", "mean"]),
             "outliers": st.just(5.0),

@@ -308,6 +308,14 @@ def test_a_closed_loop_is_a_reservation_with_what_it_biases_and_what_to_do() -> 
     assert "instrumental variables" in advice
 
 
+def test_a_number_that_loggers_write_for_a_missing_value_is_a_reservation() -> None:
+    u, y = simulated(4)
+    y[[100, 300]] = -999.0
+    said = " ".join(recorded(u, y).summary(["valve"], ["level"]).reservations)
+    assert 'the output "level" goes to -999, which loggers write where they have no value' in said
+    assert "missing_values = [-999]" in said
+
+
 def test_noise_without_effect_is_not_good_enough() -> None:
     u, y = np.repeat(noise(100), 10)[:, np.newaxis], noise(1000, seed=1)[:, np.newaxis]
     summary = recorded(u, y).summary(["valve"], ["level"])

@@ -2,13 +2,16 @@
 
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ddpc_cosim import ConfigError, Constant, Identification, Problem, Study
+from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.study.cases import run_case
 from ddpc_cosim.study.reading import read_study
 from tests.studies import cases_in, study_text, write
@@ -187,3 +190,27 @@ def test_reading_a_study_imports_nothing_that_is_heavy(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_run_says_in_what_share_of_its_samples_it_was_beyond_the_log(tmp_path: Path) -> None:
+    """Held at three times what the valve was ever given, the room warms beyond what was recorded."""
+    quiet = {"noise": False}
+    assert run_case(cases_in(identified(tmp_path, plant=quiet))[0]).beyond_log == {}
+    path = identified(tmp_path, plant=quiet)
+    text = path.read_text(encoding="utf-8").replace("[plant]\n", "[plant]\nstart = { valve = 3.0 }\n", 1)
+    trace = run_case(cases_in(write(tmp_path, text))[0])
+    highest = float(np.genfromtxt(tmp_path / "log.csv", delimiter=",", skip_header=1)[:, 3].max())
+    assert trace.beyond_log == {"valve": 1.0, "room": float((trace.y[:, 0] > highest).mean())}
+
+
+def test_terminal_and_report_say_who_left_the_log(tmp_path: Path) -> None:
+    path = identified(tmp_path, plant={"noise": False})
+    text = path.read_text(encoding="utf-8").replace("[plant]\n", "[plant]\nstart = { valve = 3.0 }\n", 1)
+    study = Study.read(write(tmp_path, text))
+    results = study.run(tmp_path / "results", jobs=1, progress=False)
+    words = "eyond what the log recorded, where a model from it says nothing, went"
+    printed = StringIO()
+    console = Console(width=200, file=printed)
+    console.print(summary_table(results, console))
+    assert words in printed.getvalue()
+    assert words in results.report().read_text(encoding="utf-8")

@@ -195,6 +195,7 @@ CONTENT: dict[str, Any] = {
         "encoding": "cp1252",
         "gaps": "split",
         "missing": 2,
+        "missing_values": [-999.0],
         "duplicates": "mean",
         "resample": "linear",
         "outliers": 5.0,
