@@ -143,8 +143,11 @@ def overall_answer(comparison: Overall) -> Markup:
     text = Markup(" ").join([*comparison.worth, text + "."])
     if comparison.distances and (share := comparison.distances.overall.get(first.key)):
         points = names([controller for controller in comparison.distances.controllers if controller.is_point])
-        text += Markup(" It comes {}{} of the way between {}.").format(
-            share_words(share), interval_words(share), join_words(points)
+        # A share of several metrics is of none of them.
+        metrics = comparison.distances.metrics
+        together = f", {join_words(metrics)} taken together" if metrics[1:] else ""
+        text += Markup(" It comes {}{} of the way between {}{}.").format(
+            share_words(share), interval_words(share), join_words(points), together
         )
     some_failed = (controller for controller in order if failed[controller.key][0])
     failing = sorted(some_failed, key=lambda controller: -failed[controller.key][0])

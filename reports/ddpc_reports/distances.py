@@ -53,6 +53,8 @@ class Distances:
     step, recorded, travel : dict of str to float
         By controller, in medians over the problems: the median step [s], the samples that it learned from,
         and the actuators' travel in that of the controller at 100 %.
+    metrics : list of str
+        The names of the metrics whose shares these are.
     """
 
     controllers: list[ControllerResults]
@@ -64,21 +66,20 @@ class Distances:
     step: dict[str, float]
     recorded: dict[str, float]
     travel: dict[str, float]
+    metrics: list[str]
 
 
 def distances(problems: Sequence[StudyResults], controllers: list[ControllerResults]) -> Distances | None:
     """Return how far controllers come in each problem and over all; None without reference points."""
     runs: dict[str, dict[str, Runs]] = {}
+    metrics: dict[str, None] = {}
     needs: dict[str, list[dict[str, float]]] = {"step": [], "recorded": [], "travel": []}
     for results in problems:
         if points := results.study.report.reference_points:
             keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
-            runs[results.study.name] = shares_of(
-                results.cases,
-                points,
-                headline(keys, results.study.metrics.ranking),
-                run_once(results.study),
-            )
+            ranked = headline(keys, results.study.metrics.ranking)
+            metrics |= dict.fromkeys(metric_name(key, keys) for key in ranked)
+            runs[results.study.name] = shares_of(results.cases, points, ranked, run_once(results.study))
             for kind, medians in _needs(results, points, keys).items():
                 needs[kind].append(medians)
     if not runs:
@@ -94,6 +95,7 @@ def distances(problems: Sequence[StudyResults], controllers: list[ControllerResu
         {name: _ahead(of_problem) for name, of_problem in runs.items() if of_problem},
         [name for name, of_problem in runs.items() if not of_problem],
         **{kind: _medians(of_problems) for kind, of_problems in needs.items()},
+        metrics=[*metrics],
     )
 
 
