@@ -379,9 +379,11 @@ def _chosen(
 ) -> tuple[Choice, tuple[str, ...]]:
     """Return the choice among inputs that are not suspects, or moves an output that nothing else moves.
 
-    What is spent is no setpoint as long as another output can be controlled.
+    What is spent, and what only tells what an override is, has no setpoint as long as another output can be
+    controlled.
     """
-    inputs, meters = plant.inputs, [j for j, output in enumerate(plant.outputs) if is_meter(output)]
+    inputs, echoes = plant.inputs, {applied_output(name) for name in switches_of(plant.description)}
+    meters = [j for j, output in enumerate(plant.outputs) if is_meter(output) or output.name in echoes]
     suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
     handles = [i for i in range(len(inputs)) if i not in suspects]
     alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
