@@ -129,7 +129,7 @@ def program_of(code: ControllerCode) -> Program:
                 f"loops/{place[:16]}/loop{compiler.platform.suffix}",
                 lambda: compile_library(compiler, sources, _FUNCTIONS),
             )
-        except (ExportError, OSError) as error:
+            _programs[digest] = Program(path)
+        except (ExportError, OSError) as error:  # in a sandbox the cache folder is not to be written to
             raise ConfigError(f"the loop cannot be compiled: {error}") from error
-        _programs[digest] = Program(path)
     return _programs[digest]
