@@ -170,6 +170,7 @@ def pendulum(**changes: Any) -> Problem:
         "step_timeout": 20.0,
         "case_timeout": 100.0,
         "memory_limit": 1.0,
+        "engine": "compiled",
         "isolated": False,
         "title": "The pendulum",
         "summary": "It swings.",

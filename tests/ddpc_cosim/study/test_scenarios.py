@@ -214,7 +214,7 @@ def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
         (
             'inputs.pump_2 = { kind = "sinus" }',
             "inputs.pump_2: must be one of 'constant', 'steps', 'interpolated', 'ramp', 'sine', 'file', "
-            "'resource', 'noise', 'random', 'sum', 'product', got 'sinus'",
+            "'resource', 'noise', 'random', 'sum', 'product', got 'sinus'; did you mean \"sine\"?",
         ),
         (
             "delay = { level_1 = 6.0 }",

@@ -327,6 +327,7 @@ OTHER: dict[str, Any] = {
     "warm_up_controller": {"type": "pid", "settings": {}},
     "resumed": Resumption(b"state", 0.0),
     "replayed": "a log and the case that its controller learns in",
+    "spread": (Variable("mass"),),
 }
 """Another value of every field of a case that decides its result."""
 
@@ -343,6 +344,7 @@ SAME: dict[str, Any] = {
     "sandbox": "other",
     "storage": "parquet",
     "keeps_state": True,
+    "engine": "compiled",
 }
 """Another value of every field that does not, whatever it is."""
 

@@ -296,7 +296,7 @@ def test_an_override_rests_where_the_plants_own_control_holds_it(
 
 
 def test_what_tells_an_override_is_not_controlled(own_cache_folder: None, tmp_path: Path) -> None:
-    """Of setpoint and power of a room's own control, the room is controlled by the one that moves it alone."""
+    """Of setpoint and power of a room's own control the room is controlled, by what moves it alone."""
     room = Variable("TZone_y", "K", start=294.15)
 
     def equations(v: Any) -> Equations:
