@@ -63,7 +63,7 @@ def classes_below(kind: Any) -> Iterator[type[Any]]:
     hints = [field.hint for field in declared_fields(kind).values()]
     while hints:
         hint = hints.pop()
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint) and not inspect.isabstract(hint):
             yield from classes_below(hint)
         for inner in get_args(hint):
             is_choice = isinstance(inner, Kinds)

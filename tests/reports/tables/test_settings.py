@@ -96,6 +96,7 @@ CONTENT: dict[str, Any] = {
         "case_timeout": 60.0,
         "memory_limit": 1.5,
         "preview": 3,
+        "engine": "compiled",
     },
     "reference": {
         "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
@@ -372,7 +373,7 @@ def alternatives(value: Any) -> list[Any]:
     return []
 
 
-_WORDS = ("model-exchange", "co-simulation", "rest", "hold", "schroeder", "linear", "sequential")
+_WORDS = ("model-exchange", "co-simulation", "rest", "hold", "schroeder", "linear", "sequential", "python")
 _WORDS += ("low", "money", "refuse", "dd/mm/yyyy", "utf-16", "Europe/London", "independent")
 
 
