@@ -10,10 +10,10 @@ from ddpc_cosim.description import Declarations, applied_output, switches_of
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection.words import is_called_temperature, is_meter, is_reading
-from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
-from ddpc_cosim.suggestion.design import Bounds, Reach
+from ddpc_cosim.suggestion.design import Bounds, Range, Reach, reachable
 from ddpc_cosim.suggestion.embedded import Embedded, embedded_control
 from ddpc_cosim.suggestion.pace import monotonic
 from ddpc_cosim.suggestion.periods import found_at_rest
@@ -25,11 +25,17 @@ from ddpc_cosim.suggestion.quantities import (
     usual_levels,
 )
 from ddpc_cosim.suggestion.rates import with_rates
-from ddpc_cosim.suggestion.reach import tried_reach
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
 from ddpc_cosim.suggestion.roles import Roles, usual_range, without
-from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
+from ddpc_cosim.suggestion.step_test import (
+    Resting,
+    StepTest,
+    Timing,
+    dependence_on_step_size,
+    runs_with,
+    step_test,
+)
 from ddpc_cosim.suggestion.systems import OpenSystem
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -45,6 +51,8 @@ _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
 _FOR_REACH = 0.2  # of the time for a step test
+_TRUSTED = 0.5  # of what a step has moved an output by
+_AT_AN_END = {ResponseType.SETTLED, ResponseType.INSENSITIVE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +352,7 @@ def _at(
         if choice.inputs and try_reach:
             working = design.working_range(plant.inputs, bounds).of(choice.inputs)
             spared = replace(timing, budget=_FOR_REACH * timing.budget)
-            reach = tried_reach(plant, resting, tested, choice, working, spared)
+            reach = _tried_reach(plant, resting, tested, choice, working, spared)
         return TriedPoint(
             plant.inputs,
             plant.outputs,
@@ -361,6 +369,51 @@ def _at(
             reach,
             {name: why for name, why in roles.disturbances.items() if name not in driven},
         )
+
+
+def _tried_reach(
+    plant: Plant, resting: Resting, tested: StepTest, choice: Choice, working: Range, timing: Timing
+) -> Reach:
+    """Hold the inputs at what setpoints need, one run for each, and return how far the outputs go.
+
+    Outputs that settle count where they end, others where they are after the time scale, less what they do by
+    themselves. What the step test itself has reached counts where a run says less.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant; it is reset for every run.
+    resting : Resting
+        The inputs at rest.
+    tested : StepTest
+        What is known of the plant.
+    choice : Choice
+        The signals.
+    working : Range
+        Of the chosen inputs.
+    timing : Timing
+        How steps are, and for how long this may take.
+    """
+    reach = Reach.unknown(len(choice.outputs))
+    if tested.stopped or any(response.is_unstable for row in tested.responses for response in row):
+        return reach
+    inverse, chosen = np.linalg.pinv(choice.gains), list(choice.inputs)
+    ways = zip((1.0, -1.0), reachable(choice.gains, working), (reach.up, reach.down), strict=True)
+    tries = [(row, sign, way[row], side) for sign, way, side in ways for row in range(len(way))]
+    held = np.tile(resting.u, (len(tries), 1))
+    for u, (row, sign, way, _) in zip(held, tries, strict=True):
+        u[chosen] += sign * way * inverse[:, row]
+    for y, (row, sign, _, side) in zip(runs_with(plant, resting, tested, held, timing), tries, strict=True):
+        if y is None:
+            continue
+        j = choice.outputs[row]
+        responses = [tested.responses[j][i] for i in chosen]
+        settles = all(response.type in _AT_AN_END for response in responses)
+        end = -1 if settles else min(int(np.searchsorted(tested.time, choice.time_scale)), len(y) - 1)
+        change = sign * (y[end, j] - tested.rest[end, j]) if len(y) == len(tested.rest) else 0.0
+        shown = [_TRUSTED * sign * response.effect for response in responses if settles]
+        side[row] = max(change, *shown, 0.0)
+    return reach
 
 
 def _usual_ranges(inputs: Iterable[Variable], roles: Roles) -> dict[str, tuple[float, float]]:
