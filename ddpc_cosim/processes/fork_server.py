@@ -170,6 +170,15 @@ class ForkServer:
                 break
         return Forked(server, pid, alone)
 
+    @classmethod
+    def wake(cls) -> None:
+        """Have the server of this process go on, whose workers wait for it to read what they print."""
+        if cls._current is not None and cls._current._owner == os.getpid():
+            cls._current._wake()
+
+    def _wake(self) -> None:
+        self._process.send_signal(signal.SIGCONT)  # one of its workers may have stopped it
+
     def ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
         """Have the server answer a request; raises OSError."""
         with self._lock:
@@ -178,7 +187,7 @@ class ForkServer:
             socket.send_fds(self._socket, [line], descriptors)
             deadline = monotonic() + START_SECONDS
             while number not in self._answers:
-                self._process.send_signal(signal.SIGCONT)  # someone may have stopped it
+                self._wake()
                 try:
                     chunk = self._socket.recv(_CHUNK)
                 except TimeoutError:
@@ -200,7 +209,7 @@ class ForkServer:
         atexit.unregister(self._stop)
         if os.getpid() == self._owner:
             self._socket.close()  # which is what it waits for
-            self._process.send_signal(signal.SIGCONT)
+            self._wake()
             try:
                 self._process.wait(START_SECONDS)
             except subprocess.TimeoutExpired:

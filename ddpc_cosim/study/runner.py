@@ -38,6 +38,7 @@ from ddpc_cosim.plugins import (
     study_folder,
 )
 from ddpc_cosim.processes import spawning
+from ddpc_cosim.processes.fork_server import ForkServer
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
 from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_sandbox
@@ -513,6 +514,7 @@ def run_cases(
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
+                ForkServer.wake()
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if ended:

@@ -305,6 +305,49 @@ def test_what_ends_the_process_that_starts_it_takes_no_other_along(
     assert attempts == [f"{name}-{n}" for name in ("Kills", "Suffers") for n in (1, 2, 3)]
 
 
+STOPPING = """
+import os, signal
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+
+class Meets(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        if sample.k == 3:
+            self.meet()
+        return np.ones(1)
+
+class Stops(Meets):
+    def meet(self):
+        os.kill(os.getppid(), signal.SIGSTOP)
+        Path("FOLDER/stopped").write_bytes(b"")  # the other one is there
+        Path("FOLDER/printed").read_bytes()
+
+class Prints(Meets):
+    def meet(self):
+        Path("FOLDER/stopped").read_bytes()
+        for _ in range(1000):
+            print(999 * "x")
+        Path("FOLDER/printed").write_bytes(b"")
+"""
+
+
+def test_what_stops_the_process_that_reads_what_is_printed_holds_no_other_up(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Nor itself, which waits for that other one."""
+    (tmp_path / "met").mkdir()
+    for name in ("stopped", "printed"):
+        os.mkfifo(tmp_path / "met" / name)
+    (tmp_path / "stopping.py").write_text(STOPPING.replace("FOLDER", str(tmp_path / "met")), encoding="utf-8")
+    write_study("stopping:Stops", "stopping:Prints")
+    run_program("run", "study.toml", "--jobs", "2", "--no-report", "--out", "out")
+    outcomes = [case.outcome for case in load_results(tmp_path / "out").cases]
+    assert outcomes == ["completed", "completed"]
+
+
 REMEMBERING = """
 from dataclasses import dataclass
 import numpy as np
