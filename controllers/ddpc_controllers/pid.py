@@ -30,6 +30,7 @@ from math import inf, isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import (
@@ -77,6 +78,7 @@ _STEP = 3
 _ROUNDING = 1e-6
 _UNDECIDED = 3.0
 _FREQUENCIES, _NEAR = np.geomspace(1e-6, np.pi, 1000), np.linspace(-3.0, 3.0, 25)
+_A_FEW = np.exp(1j * _FREQUENCIES[500::10])
 
 
 class Gains(NamedTuple):
@@ -340,17 +342,20 @@ def _with_margin(
     Its time is infinite where none up to ``last`` keeps it.
     """
     time, gains = first, gains_of(first)
-    reached = margin = sensitivity(plant, gains, h)
-    while margin > _LARGEST_SENSITIVITY:
+    slowed, reached = gains, sensitivity(plant, gains, h)
+    is_beyond = reached > _LARGEST_SENSITIVITY
+    while is_beyond:
         time *= slower
         if time > last:
             time = inf
             break
         slowed = gains_of(time)
-        margin = sensitivity(plant, slowed, h)
-        if not keeps_first:
-            gains, reached = slowed, margin
-    return _TunedLoop(gains, reached, time)
+        # A few frequencies tell of most that they are beyond it.
+        is_beyond = _peak(*_loops(plant, slowed, h), _A_FEW) > _LARGEST_SENSITIVITY
+        is_beyond = is_beyond or sensitivity(plant, slowed, h) > _LARGEST_SENSITIVITY
+    if keeps_first or slowed is gains:
+        return _TunedLoop(gains, reached, time)
+    return _TunedLoop(slowed, sensitivity(plant, slowed, h), time)
 
 
 def _integrates(output: int, model: SecondOrder) -> tuple[str, ...]:
@@ -375,14 +380,26 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
     sampling_time : float
         h [s].
     """
-    open_loop, _, closed_loop = _closed(model, gains, sampling_time)
+    open_loop, closed_loop = _loops(model, gains, sampling_time)
     poles = np.roots(closed_loop)
     if np.abs(poles).max() >= 1.0:
         return float("inf")
     # Peaks are as narrow as the poles near them are close to the circle.
     near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
-    z = np.exp(1j * np.append(_FREQUENCIES, near_poles))
+    return _peak(open_loop, closed_loop, np.exp(1j * np.append(_FREQUENCIES, near_poles)))
+
+
+def _peak(open_loop: FloatArray, closed_loop: FloatArray, z: NDArray[np.complex128]) -> float:
+    """Return the largest sensitivity of a loop at points of the unit circle."""
     return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
+
+
+def _loops(
+    model: PulseTransferFunction, gains: Sequence[float], sampling_time: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the denominators of the open and of the closed loop."""
+    open_loop, _, closed_loop = _closed(model, gains, sampling_time)
+    return open_loop, closed_loop
 
 
 def _closed(

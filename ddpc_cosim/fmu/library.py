@@ -192,6 +192,16 @@ def load_library(
 
 
 @contextmanager
+def kept_loaded(library: Path) -> Iterator[None]:
+    """Keep a library loaded, which takes longer than an instance: what it has in static variables stays."""
+    held = ctypes.CDLL(str(library))
+    try:
+        yield
+    finally:
+        fmpy.freeLibrary(held._handle)
+
+
+@contextmanager
 def _kept_working_directory() -> Iterator[None]:
     """Let one thread at a time change the working directory, and change it back whatever happens."""
     with _loading:

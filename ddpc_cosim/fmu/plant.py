@@ -401,6 +401,11 @@ class FMUPlant(Plant):
         return self._fmu.description
 
     @property
+    def library(self) -> Path:
+        """Its shared library, until it is closed."""
+        return self._fmu.source.library
+
+    @property
     def companions(self) -> Companions:
         """What is loaded with the FMU's library besides what is in the FMU and in the system."""
         return self._fmu.companions

@@ -123,6 +123,8 @@ class CaseResult:
     beyond_log : dict of str to float
         By input and output, in what share of the samples it was outside what the logs recorded that its plant
         is identified from, where it ever was.
+    batched : bool
+        Whether its figures are in a batch of many cases: samples are kept of few of these.
     """
 
     id: str
@@ -153,11 +155,17 @@ class CaseResult:
     engine: str = ""
     drawn: dict[str, float] = field(default_factory=dict)
     beyond_log: dict[str, float] = field(default_factory=dict)
+    batched: bool = field(default=False, compare=False)
 
     @property
     def is_own_control(self) -> bool:
         """Whether it is a run of doing nothing in which the plant controls itself."""
         return self.controller == DOING_NOTHING and self.label == OWN_CONTROL
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether its samples are kept."""
+        return not self.batched or (self.folder / RUN_FILE).is_file()
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -165,8 +173,13 @@ class CaseResult:
         Raises
         ------
         ConfigError
-            The files are missing or damaged.
+            The files are missing or damaged, or only its figures are kept.
         """
+        if not self.has_samples:
+            raise ConfigError(
+                f"{self.id}: only its figures are kept; for its samples run it again alone, into the same "
+                f"folder: --only {self.controller} --seeds {self.seed}"
+            )
         try:
             return read_trace(self.folder)
         except DAMAGED as error:
@@ -195,29 +208,36 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         _signals(folder, run)
         if run["id"] != (id or folder.name):
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
-        keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox", "recorded_samples")
-        head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
-        values = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
-        warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
-        transient = run["transient"] or outcome in _TRANSIENT
-        return CaseResult(
-            **head,
-            **values,
-            tracking=tuple(map(Tracking.read, run["tracking"])),
-            outcome=outcome,
-            failed=outcome is not Outcome.COMPLETED,
-            warnings=warning_texts,
-            folder=folder,
-            transient=transient,
-            wall_time=float(run.get("wall_time", math.nan)),
-            simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
-            versions=dict(run.get("versions", {})),
-            engine=str(run.get("engine", "")),
-            drawn=dict(run.get("drawn", {})),
-            beyond_log=dict(run.get("beyond_log", {})),
-        )
+        return result_of_run(run, folder)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
+
+
+def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -> CaseResult:
+    """Return the case that a ``run.json`` tells of, whose folder is or would be the given one."""
+    keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox", "recorded_samples")
+    head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
+    warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
+    transient = run["transient"] or outcome in _TRANSIENT
+    return CaseResult(
+        **head,
+        metrics=_numbers(run["metrics"]),
+        diagnostics=_numbers(run["diagnostics"]),
+        settings=run["settings"],
+        tracking=tuple(map(Tracking.read, run["tracking"])),
+        outcome=outcome,
+        failed=outcome is not Outcome.COMPLETED,
+        warnings=warning_texts,
+        folder=folder,
+        transient=transient,
+        wall_time=float(run.get("wall_time", math.nan)),
+        simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
+        versions=dict(run.get("versions", {})),
+        engine=str(run.get("engine", "")),
+        drawn=dict(run.get("drawn", {})),
+        beyond_log=dict(run.get("beyond_log", {})),
+        batched=batched,
+    )
 
 
 def damaged_files(folder: Path, error: Exception) -> ConfigError:
@@ -277,8 +297,22 @@ def stage_case(
     OSError
         They cannot be written.
     """
-    settings = settings or MetricSettings(trace.preview)
-    run: dict[str, Any] = (
+    run = described(trace, head, settings or MetricSettings(trace.preview))
+    staged.mkdir(exist_ok=True)
+    file = staged / _SIGNALS_FILES[run["storage"]]
+    write_table(file, trace.columns(), {"status": trace.status})
+    signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
+    state = {"state": checksum(trace.state)} if trace.state else {}
+    if state:
+        (staged / _STATE_FILE).write_bytes(trace.state)
+    (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals} | state))
+    for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
+        write_through(staged / name)
+
+
+def described(trace: Trace, head: dict[str, Any], settings: MetricSettings) -> dict[str, Any]:
+    """Return what ``run.json`` says of a run besides its files; parameters as of :func:`write_case`."""
+    return (
         {"printed": "", "left": {}, "sandbox": "", "problem": "", "storage": "csv", "versions": {}}
         | {"wall_time": math.nan}
         | head
@@ -307,16 +341,6 @@ def stage_case(
             **_further(trace),
         }
     )
-    staged.mkdir(exist_ok=True)
-    file = staged / _SIGNALS_FILES[run["storage"]]
-    write_table(file, trace.columns(), {"status": trace.status})
-    signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
-    state = {"state": checksum(trace.state)} if trace.state else {}
-    if state:
-        (staged / _STATE_FILE).write_bytes(trace.state)
-    (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals} | state))
-    for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
-        write_through(staged / name)
 
 
 def _further(trace: Trace) -> dict[str, Any]:
@@ -521,10 +545,14 @@ def sealed_json(content: dict[str, Any]) -> bytes:
 
 def read_sealed(path: Path) -> dict[str, Any]:
     """Return what :func:`sealed_json` was given; ValueError unless the file holds it to the last byte."""
-    content = path.read_bytes()
+    return parse_sealed(path.read_bytes(), path.name)
+
+
+def parse_sealed(content: bytes, name: str) -> dict[str, Any]:
+    """Return what :func:`sealed_json` was given; ValueError unless that is the content of a file."""
     text = content[: -len(_SEAL % checksum(b"").encode())]
     if content != text + _SEAL % checksum(text).encode():
-        raise ValueError(f"{path.name} is not what was written: its checksum differs")
+        raise ValueError(f"{name} is not what was written: its checksum differs")
     read: dict[str, Any] = json.loads(text + b"\n}")
     return read
 
@@ -594,9 +622,11 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 def _read_run(folder: Path) -> dict[str, Any]:
     run = read_sealed(folder / RUN_FILE)
-    run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
-    run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
-    return run
+    return run | {key: _numbers(run[key]) for key in ("metrics", "diagnostics")}
+
+
+def _numbers(stored: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in stored.items()}
 
 
 def read_trace(folder: Path) -> Trace:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
@@ -549,7 +549,46 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 
     Its rows, and what it is in, are written to a store, by default in memory.
     """
-    trace = _trace(case, store)
+    return _told(case, _trace(case, store))
+
+
+def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
+    """Run cases of this project's controllers and plants that differ by their seeds alone, and yield traces.
+
+    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one.
+    """
+    kept, plant = ExitStack(), None
+    with kept:
+        for case in cases:
+            if plant is None and case.plant.fmu:
+                with suppress(CosimError):  # which each case tells by itself
+                    plant = _loaded(case, kept)
+            if plant is None:
+                yield run_case(case)
+                continue
+            store = row_store(case)
+            safe_calls.announce_calls(store.announce)
+            trace = _run(case, plant, store)
+            if trace.outcome is not Outcome.COMPLETED:
+                kept.close()
+                plant = None
+            yield _told(case, trace)
+
+
+def _loaded(case: Case, kept: ExitStack) -> Plant:
+    """Open a case's FMU, whose library stays loaded as long as it is kept."""
+    from ddpc_cosim.fmu.library import kept_loaded
+    from ddpc_cosim.fmu.plant import FMUPlant
+
+    plant = _open(case)
+    kept.callback(plant.close)
+    assert isinstance(plant, FMUPlant)
+    kept.enter_context(kept_loaded(plant.library))
+    return plant
+
+
+def _told(case: Case, trace: Trace) -> Trace:
+    """Return a trace with what there is to say of it besides."""
     if case.plant.identified and case.plant.identified.ensemble:
         courses = {
             variable.name: course

@@ -18,6 +18,7 @@ from ddpc_cosim.loop.trace import Trace
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
+from ddpc_cosim.study.batches import Batched
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     DOING_NOTHING,
@@ -548,9 +549,10 @@ def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Lo
         for name, section in flat.controllers.items()
     }
     cases, resting, damaged = dict[str, list[CaseResult]](), dict[Run, CaseResult](), {}
+    batched = Batched(folder / CASES_FOLDER)
     for case_id in case_ids:
         try:
-            case = load_case(folder / CASES_FOLDER / case_id)
+            case = batched.get(case_id) or load_case(folder / CASES_FOLDER / case_id)
             problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
             label = labels.get((problem, case.controller), case.label)
             case = replace(case, problem=problem, label=label)

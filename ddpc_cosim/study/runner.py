@@ -11,6 +11,7 @@ import math
 import os
 import pickle
 import re
+import socket
 import sys
 import tempfile
 from collections import Counter, deque
@@ -54,10 +55,12 @@ from ddpc_cosim.processes.worker import (
     result_of,
     serve_calls,
 )
+from ddpc_cosim.study.batches import Batched, accept_batch, stage_batch
 from ddpc_cosim.study.case_files import (
     STAGING,
     CaseResult,
     accept_case,
+    described,
     keep_left,
     left_in,
     load_case,
@@ -78,6 +81,7 @@ from ddpc_cosim.study.cases import (
     patterns_of,
     problems_with_cases,
     row_store,
+    run_alike,
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
@@ -94,6 +98,7 @@ from ddpc_cosim.study.results import (
 from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges, versions
 
 if TYPE_CHECKING:
+    from ddpc_cosim.study.problems import WholeStudy
     from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 
 _POLL_SECONDS = 0.1
@@ -102,6 +107,8 @@ _REPLY_SECONDS = 5.0
 # has forked could hold its channel open for ever.
 _BETWEEN_CALLS_SECONDS = 600.0
 _LONGEST_ANSWER_SECONDS = 3600.0
+# Where a controller has more seeds in a scenario, files of single cases take longer than the cases do.
+_MANY_SEEDS, _FIRST_SEEDS, _BATCH = 500, 20, 50
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _AT_THE_END = ("diagnostics", "provenance", "close")
@@ -269,6 +276,8 @@ def run_study(
     took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
     loaded = load_cases(folder, study, [case.id for case in cases])
     results = loaded.cases
+    if extremes := _extremes_without_samples(study, results):
+        run_missing([case for case in cases if case.id in extremes], folder, selection, progress, begin=True)
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
@@ -281,6 +290,23 @@ def run_study(
     whole = [case.id for case in every] if selection.is_part else None
     written = loaded.of(folder, study, provenance | run)
     return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
+
+
+def _extremes_without_samples(study: "WholeStudy", results: Sequence[CaseResult]) -> set[str]:
+    """Return the ids of the worst, middle and best cases of which only figures are kept."""
+    if not any(case.batched for case in results):
+        return set()
+    from ddpc_cosim.study.verdicts.reliability import extreme_runs  # with all that reads studies
+
+    by_problem: dict[str, list[CaseResult]] = {}
+    for result in results:
+        by_problem.setdefault(result.problem, []).append(result)
+    return {
+        case.id
+        for problem, of_problem in by_problem.items()
+        for case in extreme_runs(study.problems[problem], of_problem)
+        if not case.has_samples
+    }
 
 
 def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
@@ -356,7 +382,19 @@ def run_missing(
         remove_left_behind(cases_folder, STAGING)
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
-    missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
+    how: dict[str, Any] = {"storage": selection.storage}
+    if selection.engine:
+        how["engine"] = selection.engine
+    for_batches, batched = (
+        _for_batches([replace(case, **how) for case in cases], selection),
+        Batched(cases_folder),
+    )
+
+    def is_there(case: Case) -> bool:
+        in_batch = case.id in for_batches and batched.is_valid(case.id, case.metrics)
+        return in_batch or _is_there(cases_folder / case.id)
+
+    missing = {case.id: case for case in cases if selection.fresh or not is_there(case)}
     kept = [case for case in cases if case.id not in missing]
     if selection.executor == "local":
         with demanded(selection.sandboxed):
@@ -364,16 +402,37 @@ def run_missing(
     if begin:
         progress.start(len(missing), len(kept))
     for case in kept:
-        recompute_metrics(cases_folder / case.id, case.metrics)
+        is_alone = case.id not in for_batches or case.id not in batched
+        if is_alone:
+            recompute_metrics(cases_folder / case.id, case.metrics)
         if not begin:
-            progress.finished(case, load_case(cases_folder / case.id))
-    how: dict[str, Any] = {"storage": selection.storage}
-    if selection.engine:
-        how["engine"] = selection.engine
-    to_run = [replace(case, **how) for case in missing.values()]
-    for case in _done(to_run, cases_folder, selection, progress):
+            progress.finished(case, load_case(cases_folder / case.id) if is_alone else batched[case.id])
+    alone = [replace(case, **how) for case in missing.values() if case.id not in for_batches]
+    together = deque(replace(case, **how) for case in missing.values() if case.id in for_batches)
+    for case in _done(alone, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
-    return len(to_run)
+    lost = list[Case]()
+    for case, result in run_batches(together, cases_folder, selection.jobs, lost):
+        progress.finished(case, result)
+    for case in _done(lost, cases_folder, selection, progress):
+        progress.finished(case, load_case(cases_folder / case.id))
+    return len(missing)
+
+
+def _for_batches(cases: Sequence[Case], selection: Selection) -> set[str]:
+    """Return the ids of the cases of which only figures are kept: those of many seeds, but for the first."""
+    if selection.executor != "local" or selection.keep_files or selection.sandboxed:
+        return set()
+    series: dict[tuple[str, str, str], list[Case]] = {}
+    for case in cases:
+        if case.engine == "compiled":
+            series.setdefault((case.problem, case.controller, case.scenario), []).append(case)
+    return {
+        case.id
+        for of_series in series.values()
+        if len(of_series) > _MANY_SEEDS and leaves_nothing_behind(of_series[0]) and not of_series[0].late
+        for case in of_series[_FIRST_SEEDS:]
+    }
 
 
 def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
@@ -532,6 +591,93 @@ def run_cases(
                 run.worker.end()
                 run.close()
             workers.end()
+
+
+def run_batches(
+    cases: deque[Case], folder: Path, jobs: int, lost: list[Case]
+) -> Iterator[tuple[Case, CaseResult]]:
+    """Run cases some at a time in ``jobs`` worker processes, and yield each one when its figures are written.
+
+    Parameters
+    ----------
+    cases : deque of Case
+        What to run: own controllers on own plants, so that processes are as good as new after each.
+    folder : Path
+        Where a file of each batch is written to.
+    jobs : int
+        Number of workers.
+    lost : list of Case
+        Is given the cases of which nothing is known, as one of their batch has ended its process or takes
+        too long: each of them can be run by itself.
+    """
+    if not cases:
+        return
+    engines = ("ddpc_cosim.compiled.engine",)
+    preload = [*_PRELOAD, *engines, *_plugin_modules([*{case.controller: case for case in cases}.values()])]
+    with _scratch() as temporary, _scratch(folder, STAGING) as staging, _writable():
+        work = _working_directory(temporary)
+        running = dict[socket.socket, tuple[Worker, list[Case], float]]()
+        idle = list[Worker]()
+        try:
+            while cases or running:
+                while cases and len(running) < jobs:
+                    batch = [cases.popleft()]
+                    while cases and len(batch) < _BATCH and _are_alike(cases[0], batch[0]):
+                        batch.append(cases.popleft())
+                    memory = _memory(batch[0], jobs)
+                    worker = (
+                        idle.pop()
+                        if idle
+                        else Worker(serve_calls, folder=temporary, preload=preload, memory=memory)
+                    )
+                    running[worker.channel.socket] = worker, batch, monotonic()
+                    context = CaseContext.of(batch[0])
+                    with suppress(OSError):  # it has died, which is seen below
+                        environment = (context.modules, context.values, work)
+                        ask(worker.channel, run_batch, batch, staging, *environment)
+                ready = wait([*running], _POLL_SECONDS)
+                ForkServer.wake()
+                for channel, (worker, batch, since) in [*running.items()]:
+                    if channel not in ready and monotonic() - since < _longest(batch):
+                        continue
+                    del running[channel]
+                    try:
+                        name = result_of(worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
+                        results = accept_batch(
+                            staging / Path(name).name, folder, [case.head() for case in batch]
+                        )
+                    except (CosimError, UnexpectedError, OSError, EOFError, ValueError):
+                        worker.end()
+                        lost += batch
+                    else:
+                        idle.append(worker)
+                        yield from zip(batch, results, strict=True)
+        finally:
+            for worker in (*idle, *(worker for worker, _, _ in running.values())):
+                worker.end()
+
+
+def _are_alike(case: Case, other: Case) -> bool:
+    """Whether two cases differ by their seeds alone."""
+    keys = ("problem", "controller", "scenario")
+    return all(getattr(case, key) == getattr(other, key) for key in keys)
+
+
+def _longest(batch: Sequence[Case]) -> float:
+    """Return how long a batch may take [s]; then its cases are run by themselves, where calls have limits."""
+    each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in batch]
+    return max(sum(each), _BETWEEN_CALLS_SECONDS)
+
+
+def run_batch(cases: Sequence[Case], staging: Path, modules: str, values: bytes, work: Path) -> str:
+    """Run cases in a worker, stage what there is to say of each in one file, and return its name."""
+    _settle(modules, values, work)
+    runs, began = [], monotonic()
+    for case, trace in zip(cases, run_alike(cases), strict=True):
+        head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
+        runs.append(described(trace, head, case.metrics) | {"signals": {"rows": len(trace)}})
+        began = monotonic()
+    return stage_batch(staging, runs).name
 
 
 def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:

@@ -149,11 +149,14 @@ def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp
     size[size == 0.0] = 1.0
     rows /= size
     first, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
-    for i in range(len(rows)):
-        opposite = np.abs(rows[i + 1 :] + rows[i]).max(axis=1) <= _OPPOSITE
-        others = i + 1 + np.flatnonzero(opposite & ~second[i + 1 :])
-        if others.size and not second[i]:
-            first[i] = others[0]
-            second[others[0]] = True
+    # Products tell which pairs are worth looking at: those of unit rows that are opposite are -1.
+    products = np.triu(rows @ rows.T < _OPPOSITE - 1.0 + len(rows[0]) * np.finfo(float).eps, 1)
+    zero = ~rows.any(axis=1)
+    products |= np.triu(np.outer(zero, zero), 1)
+    for i, other in np.argwhere(products).tolist():
+        is_new = first[i] < 0 and not (second[i] or second[other])
+        if is_new and np.abs(rows[other] + rows[i]).max() <= _OPPOSITE:
+            first[i] = other
+            second[other] = True
     kept = np.flatnonzero(~second)
     return kept, first[kept]

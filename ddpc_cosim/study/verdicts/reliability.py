@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import headline, metric_of
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
@@ -26,6 +27,7 @@ QUANTILES = (0.5, 0.9, 0.99)
 _FEWEST_RUNS = 10  # of which a rank correlation is taken
 _FEWEST_FAILED = 5  # and as many that did not fail, of which means are compared
 _MOST_POINTS = 120
+_WORST = 3
 
 
 class FailureRate(NamedTuple):
@@ -184,6 +186,28 @@ def reliability(study: Study, cases: Sequence[CaseResult]) -> list[Reliability]:
         )
         for who, runs in groups.items()
     ]
+
+
+def extreme_runs(study: Study, cases: Sequence[CaseResult]) -> list[CaseResult]:
+    """Return of each controller in each scenario the runs that are worst, in the middle and best.
+
+    Runs that failed are the worst, those that ended early before the others; else it is by the sum of what
+    runs are ranked by.
+    """
+    groups: dict[tuple[str, str], list[CaseResult]] = {}
+    for case in cases:
+        groups.setdefault((case.controller, case.scenario), []).append(case)
+    keys = headline(dict.fromkeys(key for case in cases for key in case.metrics), study.metrics.ranking)
+
+    def worst_first(case: CaseResult) -> tuple[bool, bool, float]:
+        figure = math.fsum(case.metrics.get(key, math.inf) for key in keys)
+        return case.outcome is Outcome.COMPLETED, not case.failed, -figure if figure == figure else -math.inf
+
+    chosen = []
+    for runs in groups.values():
+        runs.sort(key=worst_first)
+        chosen += [*runs[:_WORST], runs[len(runs) // 2], runs[-1]]
+    return chosen
 
 
 class _Sample(NamedTuple):

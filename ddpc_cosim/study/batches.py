@@ -1,0 +1,129 @@
+"""Many cases in one file: their figures without their samples, which running one of them again makes anew.
+
+A batch holds what the ``run.json`` of each of its cases would say; what all of them say stands there once.
+Its name is the hash of its content.
+"""
+
+import gzip
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ddpc_cosim.errors import CosimError
+from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.study.case_files import (
+    DAMAGED,
+    CaseResult,
+    checksum,
+    parse_sealed,
+    result_of_run,
+    sealed_json,
+)
+from fmu_plants.files import write_through
+
+_NAME, _SUFFIX = "batch-", ".json.gz"
+_DIGITS = 24
+_COMMON, _RUNS = "common", "runs"
+_LONGEST = 1 << 28
+
+
+def stage_batch(folder: Path, runs: Sequence[dict[str, Any]]) -> Path:
+    """Write what there is to say of some runs into one file of a folder, and return it.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    first, *others = runs
+    common = {key: value for key, value in first.items() if all(run.get(key) == value for run in others)}
+    own = [{key: value for key, value in run.items() if key not in common} for run in runs]
+    content = gzip.compress(sealed_json({_COMMON: common, _RUNS: own}), mtime=0)
+    path = folder / f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}"
+    path.write_bytes(content)
+    write_through(path)
+    return path
+
+
+def read_batch(path: Path) -> list[dict[str, Any]]:
+    """Return what there is to say of each run of a file.
+
+    Raises
+    ------
+    ValueError, OSError, KeyError, TypeError
+        It does not hold what was written.
+    """
+    if path.is_symlink() or path.stat().st_size > _LONGEST:
+        raise ValueError(f"{path.name} is not a file of its own")
+    content = path.read_bytes()
+    if path.name != f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}":
+        raise ValueError(f"{path.name} is not what was written: its checksum differs")
+    batch = parse_sealed(gzip.decompress(content), path.name)
+    return [batch[_COMMON] | run for run in batch[_RUNS]]
+
+
+class Batched(Mapping[str, CaseResult]):
+    """The cases in the batches of a folder, by id, as their files would tell them; a damaged batch has none.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of cases. What is there of a case by itself is not looked at.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._cases: dict[str, CaseResult] = {}
+        self._settings: dict[str, dict[str, Any]] = {}
+        for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}")):
+            try:
+                runs = read_batch(path)
+                cases = {run["id"]: result_of_run(run, folder / run["id"], batched=True) for run in runs}
+            except DAMAGED:
+                continue
+            self._cases |= cases
+            self._settings |= {run["id"]: run["metric_settings"] for run in runs}
+
+    def __getitem__(self, case_id: str) -> CaseResult:
+        return self._cases[case_id]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._cases)
+
+    def __len__(self) -> int:
+        return len(self._cases)
+
+    def is_valid(self, case_id: str, settings: MetricSettings) -> bool:
+        """Whether a case is there, would end the same again, and its figures depend on these settings."""
+        if case_id not in self._cases:
+            return False
+        return not self._cases[case_id].transient and self._settings[case_id] == asdict(settings)
+
+
+def accept_batch(staged: Path, folder: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
+    """Move a batch that a process has staged to where its cases belong, if it has those; return them.
+
+    Parameters
+    ----------
+    staged : Path
+        The file.
+    folder : Path
+        The folder of cases, on the same disk.
+    heads : sequence of dict
+        What each case is.
+
+    Raises
+    ------
+    CosimError
+        It has others, or cannot be moved.
+    """
+    try:
+        runs = read_batch(staged)
+        for run, head in zip(runs, heads, strict=True):
+            if any(run[key] != value for key, value in head.items()):
+                raise ValueError(f"{staged.name} is of case {run['id']}, not {head['id']}")
+        cases = [result_of_run(run, folder / run["id"], batched=True) for run in runs]
+        staged.replace(folder / staged.name)
+    except DAMAGED as error:
+        raise CosimError(f"a batch of cases cannot be kept: {error}") from error
+    return cases
