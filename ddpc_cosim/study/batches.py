@@ -5,6 +5,7 @@ Its name is the hash of its content.
 """
 
 import gzip
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -66,6 +67,8 @@ def read_batch(path: Path) -> list[dict[str, Any]]:
 class Batched(Mapping[str, CaseResult]):
     """The cases in the batches of a folder, by id, as their files would tell them; a damaged batch has none.
 
+    Of a case in several the latest counts.
+
     Parameters
     ----------
     folder : Path
@@ -75,7 +78,9 @@ class Batched(Mapping[str, CaseResult]):
     def __init__(self, folder: Path) -> None:
         self._cases: dict[str, CaseResult] = {}
         self._settings: dict[str, dict[str, Any]] = {}
-        for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}")):
+        self._places: dict[str, list[Path]] = {}
+        self._left: Counter[Path] = Counter()
+        for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=lambda path: path.stat().st_mtime_ns):
             try:
                 runs = read_batch(path)
                 cases = {run["id"]: result_of_run(run, folder / run["id"], batched=True) for run in runs}
@@ -83,6 +88,16 @@ class Batched(Mapping[str, CaseResult]):
                 continue
             self._cases |= cases
             self._settings |= {run["id"]: run["metric_settings"] for run in runs}
+            self._left[path] = len(cases)
+            for case_id in cases:
+                self._places.setdefault(case_id, []).append(path)
+
+    def replaced(self, case_id: str) -> None:
+        """Remove the batch of which a case, which has been run again, was the last one that counted."""
+        for path in self._places.pop(case_id, ()):
+            self._left[path] -= 1
+            if not self._left[path]:
+                path.unlink(missing_ok=True)
 
     def __getitem__(self, case_id: str) -> CaseResult:
         return self._cases[case_id]

@@ -551,8 +551,9 @@ def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Lo
     cases, resting, damaged = dict[str, list[CaseResult]](), dict[Run, CaseResult](), {}
     batched = Batched(folder / CASES_FOLDER)
     for case_id in case_ids:
+        place = folder / CASES_FOLDER / case_id
         try:
-            case = batched.get(case_id) or load_case(folder / CASES_FOLDER / case_id)
+            case = batched[case_id] if case_id in batched and not place.exists() else load_case(place)
             problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
             label = labels.get((problem, case.controller), case.label)
             case = replace(case, problem=problem, label=label)

@@ -11,7 +11,6 @@ import math
 import os
 import pickle
 import re
-import socket
 import sys
 import tempfile
 from collections import Counter, deque
@@ -390,9 +389,14 @@ def run_missing(
         Batched(cases_folder),
     )
 
+    by_themselves = {path.name for path in cases_folder.iterdir()}
+
+    def is_batched(case: Case) -> bool:
+        is_only_there = case.id in for_batches and case.id not in by_themselves
+        return is_only_there and batched.is_valid(case.id, case.metrics)
+
     def is_there(case: Case) -> bool:
-        in_batch = case.id in for_batches and batched.is_valid(case.id, case.metrics)
-        return in_batch or _is_there(cases_folder / case.id)
+        return is_batched(case) or _is_there(cases_folder / case.id)
 
     missing = {case.id: case for case in cases if selection.fresh or not is_there(case)}
     kept = [case for case in cases if case.id not in missing]
@@ -402,17 +406,18 @@ def run_missing(
     if begin:
         progress.start(len(missing), len(kept))
     for case in kept:
-        is_alone = case.id not in for_batches or case.id not in batched
-        if is_alone:
+        if not is_batched(case):
             recompute_metrics(cases_folder / case.id, case.metrics)
         if not begin:
-            progress.finished(case, load_case(cases_folder / case.id) if is_alone else batched[case.id])
+            result = batched[case.id] if is_batched(case) else load_case(cases_folder / case.id)
+            progress.finished(case, result)
     alone = [replace(case, **how) for case in missing.values() if case.id not in for_batches]
     together = deque(replace(case, **how) for case in missing.values() if case.id in for_batches)
     for case in _done(alone, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
     for case, result in run_batches(together, cases_folder, selection.jobs, lost):
+        batched.replaced(case.id)
         progress.finished(case, result)
     for case in _done(lost, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
@@ -612,61 +617,66 @@ def run_batches(
     """
     if not cases:
         return
-    engines = ("ddpc_cosim.compiled.engine",)
-    preload = [*_PRELOAD, *engines, *_plugin_modules([*{case.controller: case for case in cases}.values()])]
+    each = {case.controller: case for case in cases}.values()
+    preload = [*_PRELOAD, "ddpc_cosim.compiled.engine", *_plugin_modules([*each])]
     with _scratch() as temporary, _scratch(folder, STAGING) as staging, _writable():
         work = _working_directory(temporary)
-        running = dict[socket.socket, tuple[Worker, list[Case], float]]()
-        idle = list[Worker]()
+        running, idle = list[_Batch](), list[Worker]()
         try:
             while cases or running:
                 while cases and len(running) < jobs:
                     batch = [cases.popleft()]
                     while cases and len(batch) < _BATCH and _are_alike(cases[0], batch[0]):
                         batch.append(cases.popleft())
-                    memory = _memory(batch[0], jobs)
-                    worker = (
-                        idle.pop()
-                        if idle
-                        else Worker(serve_calls, folder=temporary, preload=preload, memory=memory)
-                    )
-                    running[worker.channel.socket] = worker, batch, monotonic()
+                    if not idle:
+                        memory = _memory(batch[0], jobs)
+                        idle.append(Worker(serve_calls, folder=temporary, preload=preload, memory=memory))
+                    running.append(_Batch(idle.pop(), batch, monotonic()))
                     context = CaseContext.of(batch[0])
+                    environment = (context.modules, context.values, work)
                     with suppress(OSError):  # it has died, which is seen below
-                        environment = (context.modules, context.values, work)
-                        ask(worker.channel, run_batch, batch, staging, *environment)
-                ready = wait([*running], _POLL_SECONDS)
+                        ask(running[-1].worker.channel, run_batch, batch, staging, *environment)
+                ready = wait([batch.worker.channel.socket for batch in running], _POLL_SECONDS)
                 ForkServer.wake()
-                for channel, (worker, batch, since) in [*running.items()]:
-                    if channel not in ready and monotonic() - since < _longest(batch):
-                        continue
-                    del running[channel]
+                for ended in [b for b in running if b.is_late or b.worker.channel.socket in ready]:
+                    running.remove(ended)
                     try:
-                        name = result_of(worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
-                        results = accept_batch(
-                            staging / Path(name).name, folder, [case.head() for case in batch]
-                        )
+                        results = ended.results(staging, folder)
                     except (CosimError, UnexpectedError, OSError, EOFError, ValueError):
-                        worker.end()
-                        lost += batch
+                        ended.worker.end()
+                        lost += ended.cases
                     else:
-                        idle.append(worker)
-                        yield from zip(batch, results, strict=True)
+                        idle.append(ended.worker)
+                        yield from zip(ended.cases, results, strict=True)
         finally:
-            for worker in (*idle, *(worker for worker, _, _ in running.values())):
+            for worker in (*idle, *(batch.worker for batch in running)):
                 worker.end()
+
+
+class _Batch(NamedTuple):
+    """Cases that a worker runs one after the other, since a time."""
+
+    worker: Worker
+    cases: list[Case]
+    since: float
+
+    @property
+    def is_late(self) -> bool:
+        """Whether its cases are to be run by themselves, where each call has a limit of time."""
+        each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in self.cases]
+        return monotonic() - self.since > max(sum(each), _BETWEEN_CALLS_SECONDS)
+
+    def results(self, staging: Path, folder: Path) -> list[CaseResult]:
+        """Return its cases, whose file has been put in its place; raises what keeps it from that."""
+        seconds = 0.0 if self.is_late else _REPLY_SECONDS
+        name = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=seconds))
+        return accept_batch(staging / Path(name).name, folder, [case.head() for case in self.cases])
 
 
 def _are_alike(case: Case, other: Case) -> bool:
     """Whether two cases differ by their seeds alone."""
     keys = ("problem", "controller", "scenario")
     return all(getattr(case, key) == getattr(other, key) for key in keys)
-
-
-def _longest(batch: Sequence[Case]) -> float:
-    """Return how long a batch may take [s]; then its cases are run by themselves, where calls have limits."""
-    each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in batch]
-    return max(sum(each), _BETWEEN_CALLS_SECONDS)
 
 
 def run_batch(cases: Sequence[Case], staging: Path, modules: str, values: bytes, work: Path) -> str:

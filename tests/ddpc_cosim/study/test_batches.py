@@ -1,0 +1,198 @@
+"""Many seeds: what is kept of them is what single runs give, and nothing of it is lost or taken on trust."""
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from studies import cases_in, run_file, study_text, write
+
+from ddpc_cosim import ConfigError, CosimError, StudyResults, load_results
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.study import runner
+from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
+from ddpc_cosim.study.verdicts.reliability import extreme_runs
+
+SEEDS = 12
+STUDY: dict[str, Any] = {
+    "plant": {
+        "name": "pendulum",
+        "inputs": ["torque"],
+        "outputs": ["angle"],
+        "parameters": {"mass": {"distribution": "normal", "mean": 1.0, "deviation": 0.1, "low": 0.5}},
+    },
+    "loop": {"sampling_time": 0.1, "duration": 2.0},
+    "reference": {"angle": {"kind": "steps", "times": [0.0], "values": [0.3]}},
+    "recording": {"samples": 60, "excitation": {"torque": {"kind": "uniform", "low": -3.5, "high": 3.5}}},
+    "bounds": {"torque": {"min": -3.5, "max": 3.5}},
+    "scenarios": {"noisy": {"noise": {"angle": 0.01}}},
+    "controllers": {
+        "deepc": {"type": "deepc", "settings": {"initial_length": 3, "horizon": 5}},
+        "pid": {"type": "pid", "settings": {"proportional": 4.0, "integral": 3.0}},
+    },
+}
+NOT_COMPARED = ("solve_time", "deadline")
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make eight seeds many."""
+    for name, value in {"_MANY_SEEDS": 8, "_FIRST_SEEDS": 2, "_BATCH": 3}.items():
+        monkeypatch.setattr(runner, name, value)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    return write(tmp_path, study_text(**STUDY, seeds=[f"0:{SEEDS}"]))
+
+
+def run(study: Path, out: str = "out", **options: Any) -> StudyResults:
+    return run_file(study, study.parent / out, **{"engine": "compiled", **options})
+
+
+def figures(results: StudyResults) -> dict[str, Any]:
+    """Return what results say of each case, without what nobody could repeat."""
+    return {
+        case.id: (
+            case.outcome,
+            case.failed,
+            case.settles,
+            case.left,
+            case.tracking,
+            case.drawn,
+            case.diagnostics,
+            case.warnings,
+            case.engine,
+            {key: value for key, value in case.metrics.items() if not key.startswith(NOT_COMPARED)},
+        )
+        for case in (*results.cases, *results.resting)
+    }
+
+
+def test_figures_are_those_of_single_runs(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = run(study, "alone")
+    small.__wrapped__(monkeypatch)  # type: ignore[attr-defined]
+    together = run(study)
+    np.testing.assert_equal(figures(together), figures(alone))
+    batched = [case for case in together.cases if case.batched]
+    assert {case.seed for case in batched} == set(range(2, SEEDS))
+    written = [path.name for path in (study.parent / "out/cases").iterdir()]
+    assert sum(name.startswith("batch-") for name in written) == 3 * 4
+    csv = [(study.parent / out / "metrics.csv").read_text().splitlines() for out in ("out", "alone")]
+    assert [len(lines) for lines in csv] == [1 + 2 * SEEDS] * 2
+
+
+@pytest.mark.usefixtures("small")
+def test_samples_are_kept_of_the_first_worst_middle_and_best(study: Path) -> None:
+    results = run(study)
+    for controller in ("deepc", "pid"):
+        runs = [case for case in results.cases if case.controller == controller]
+        by_error = sorted(runs, key=lambda case: -case.metrics["mean_abs_error.angle [deg]"])
+        extremes = [*by_error[:3], by_error[len(runs) // 2], by_error[-1]]
+        assert not any(case.failed for case in runs)
+        assert {case.seed for case in extreme_runs(results.study, runs)} == {case.seed for case in extremes}
+        kept = {case.seed for case in runs if case.has_samples}
+        assert kept == {0, 1, *(case.seed for case in extremes)}
+        other = next(case for case in runs if case.seed not in kept)
+        with pytest.raises(ConfigError, match=rf"only its figures are kept.*--only {controller} --seeds"):
+            other.trace()
+
+
+@pytest.mark.usefixtures("small")
+def test_any_other_run_is_made_again_to_the_last_bit(study: Path) -> None:
+    results = run(study)
+    lost = next(case for case in results.cases if not case.has_samples)
+    [again] = run(study, only=[lost.controller], seeds=[lost.seed]).cases
+    assert (again.id, again.batched) == (lost.id, False)
+    np.testing.assert_equal(again.metrics, lost.metrics)
+    trace = lost.trace()
+    [case] = [case for case in cases_in(study) if case.id == lost.id]
+    np.testing.assert_array_equal(trace.u, again.trace().u)
+    assert trace.engine == "compiled"
+    assert case.drawn == lost.drawn
+    np.testing.assert_equal(figures(run(study)), figures(results))
+
+
+@pytest.mark.usefixtures("small")
+def test_what_is_there_is_not_run_again_and_what_is_damaged_is(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = run(study)
+    times = {path: path.stat().st_mtime_ns for path in (study.parent / "out/cases").iterdir()}
+    assert run(study).runs[-1]["cases run"] == "0"
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    batch = next(path for path in times if path.name.startswith("batch-"))
+    count, content = len(read_batch(batch)), bytearray(batch.read_bytes())
+    content[len(content) // 2] ^= 1
+    batch.write_bytes(content)
+    damaged = load_results(study.parent / "out")
+    assert len(damaged.damaged) + len(damaged.cases) + len(damaged.resting) == 3 * SEEDS
+    again = run(study)
+    assert int(again.runs[-1]["cases run"]) <= count
+    assert not again.damaged
+    np.testing.assert_equal(figures(again), figures(results))
+
+
+@pytest.mark.usefixtures("small")
+def test_other_settings_of_figures_run_cases_again(study: Path, tmp_path: Path) -> None:
+    results = run(study)
+    text = study_text(**STUDY, seeds=[f"0:{SEEDS}"], metrics={"cost": {"outputs": {"angle": 2.0}}})
+    changed = run(write(tmp_path, text))
+    assert {case.id for case in changed.cases} == {case.id for case in results.cases}
+    alone = run(tmp_path / "study.toml", "alone", engine="python")
+    assert len(alone.cases) == 2 * SEEDS
+    [cost] = {key for case in changed.cases for key in case.metrics if key.startswith("cost")}
+    for case, other in zip(changed.cases, alone.cases, strict=True):
+        assert case.metrics[cost] == pytest.approx(other.metrics[cost], rel=1e-9)
+
+
+@pytest.mark.usefixtures("small")
+def test_cases_of_a_batch_that_takes_too_long_are_run_by_themselves(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner._Batch, "is_late", True)
+    results = run(study)
+    assert len(results.cases) == 2 * SEEDS
+    assert all(case.outcome == "completed" and not case.batched for case in results.cases)
+    assert not [*(study.parent / "out/cases").glob("batch-*")]
+
+
+@pytest.mark.usefixtures("small")
+def test_a_batch_of_other_cases_is_refused(study: Path, tmp_path: Path) -> None:
+    run(study)
+    folder = tmp_path / "out/cases"
+    runs = max(map(read_batch, folder.glob("batch-*")), key=len)
+    heads = [{key: run[key] for key in ("id", "seed", "controller")} for run in runs]
+    (tmp_path / "accepted").mkdir()
+    staged = stage_batch(tmp_path, runs)
+    for wrong in (heads[::-1], heads[:-1], [heads[0] | {"seed": 99}, *heads[1:]]):
+        with pytest.raises(CosimError, match="a batch of cases cannot be kept"):
+            accept_batch(staged, tmp_path / "accepted", wrong)
+    accepted = accept_batch(staged, tmp_path / "accepted", heads)
+    assert [case.id for case in accepted] == [run["id"] for run in runs]
+    assert set(Batched(tmp_path / "accepted")) == {run["id"] for run in runs}
+
+
+@pytest.mark.usefixtures("small")
+def test_a_changed_figure_is_not_believed(study: Path) -> None:
+    run(study)
+    batch = next((study.parent / "out/cases").glob("batch-*"))
+    content = json.loads(gzip.decompress(batch.read_bytes()))
+    content["runs"][0]["metrics"] = dict.fromkeys(content["runs"][0]["metrics"], 0.0)
+    batch.write_bytes(gzip.compress(json.dumps(content).encode()))
+    left = load_results(study.parent / "out")
+    ids = {run["id"] for run in content["runs"]}
+    assert set(left.damaged) | {case.id for case in left.cases if not case.batched} >= ids
+    assert left.damaged
+
+
+@pytest.mark.usefixtures("small")
+def test_report_and_terminal_say_what_is_kept(study: Path) -> None:
+    run(study)
+    written = CliRunner().invoke(main, ["report", str(study.parent / "out")])
+    assert written.exit_code == 0, written.output
+    page = (study.parent / "out/report.html").read_text(encoding="utf-8")
+    assert "of 12 seeds" in page
