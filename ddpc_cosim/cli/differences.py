@@ -1,5 +1,6 @@
 """What two folders of results say differently."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,40 +53,56 @@ def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: 
     """Return in words the worst difference of two cases, but for computation times; empty: they agree."""
     if case.outcome is not other.outcome:
         return f"{case.outcome}, other {other.outcome}"
-    first, second = case.trace(), other.trace()
-    if len(first) != len(second):
-        return f"{len(first)} samples, other {len(second)}"
     # In C a step tells whether it is a fallback in words of its own, and no more of itself.
     is_one_engine = case.engine == other.engine
-    unequal = [
-        k
-        for k, (ours, theirs) in enumerate(zip(first.status, second.status, strict=True))
-        if (ours != theirs if is_one_engine else (ours == OK) != (theirs == OK))
-    ]
-    if unequal:
-        k = unequal[0]
-        return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
-    for kind in (_signals, _metrics):  # what is computed from signals that differ says no more
-        ours, theirs = (
-            {name: values for name, values in table.items() if is_one_engine or not name.startswith("info.")}
-            for table in (kind(case, first), kind(other, second))
-        )
-        if single := sorted(ours.keys() ^ theirs.keys()):
-            return f"{', '.join(single)}: only in one of them"
-        parts = {name: _excess(values, theirs[name], absolute, relative) for name, values in ours.items()}
-        name = max(parts, key=lambda name: parts[name][0], default="")
-        if name and parts[name][0] > 1.0:
-            k = parts[name][1]
-            where = f" at t = {first.time[k]:g} s" if kind is _signals else ""
-            return f"{name}{where} is {ours[name][k]:.9g}, other {theirs[name][k]:.9g}"
-    return ""
+    if case.has_samples and other.has_samples:
+        first, second = case.trace(), other.trace()
+        if len(first) != len(second):
+            return f"{len(first)} samples, other {len(second)}"
+        unequal = [
+            k
+            for k, (ours, theirs) in enumerate(zip(first.status, second.status, strict=True))
+            if (ours != theirs if is_one_engine else (ours == OK) != (theirs == OK))
+        ]
+        if unequal:
+            k = unequal[0]
+            return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
+        signals = [_signals(trace, infos=is_one_engine) for trace in (first, second)]
+        if difference := _unequal(signals, absolute, relative, first.time):
+            return difference
+    # What is computed from signals that differ says no more.
+    return _unequal([_metrics(case), _metrics(other)], absolute, relative)
 
 
-def _signals(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
-    return {name: values for name, values in trace.columns().items() if name != _SOLVE_TIME}
+def _unequal(
+    tables: Sequence[Mapping[str, FloatArray]],
+    absolute: float,
+    relative: float,
+    time: FloatArray | None = None,
+) -> str:
+    """Return in words the worst difference of two tables, over time if that is given; empty: they agree."""
+    ours, theirs = tables
+    if single := sorted(ours.keys() ^ theirs.keys()):
+        return f"{', '.join(single)}: only in one of them"
+    parts = {name: _excess(values, theirs[name], absolute, relative) for name, values in ours.items()}
+    name = max(parts, key=lambda name: parts[name][0], default="")
+    if not name or parts[name][0] <= 1.0:
+        return ""
+    k = parts[name][1]
+    where = "" if time is None else f" at t = {time[k]:g} s"
+    return f"{name}{where} is {ours[name][k]:.9g}, other {theirs[name][k]:.9g}"
 
 
-def _metrics(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
+def _signals(trace: Trace, *, infos: bool) -> dict[str, FloatArray]:
+    """Return the samples but for times of computation; what a controller tells of itself only if asked."""
+    return {
+        name: values
+        for name, values in trace.columns().items()
+        if name != _SOLVE_TIME and (infos or not name.startswith("info."))
+    }
+
+
+def _metrics(case: CaseResult) -> dict[str, FloatArray]:
     """Return the metrics that are not of the times of computation."""
     return {
         f"metric {key}": np.array([value])

@@ -187,7 +187,11 @@ class Condition:
     @cached_property
     def first_traces(self) -> dict[str, Trace]:
         """Traces of the first seed, by controller; runs without a single sample are left out."""
-        traces = {case.controller: case.trace() for case in self.cases if case.seed == self.seeds[0]}
+        traces = {
+            case.controller: case.trace()
+            for case in self.cases
+            if case.seed == self.seeds[0] and case.has_samples
+        }
         return {key: trace for key, trace in traces.items() if len(trace)}
 
     @property

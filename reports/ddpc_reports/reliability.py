@@ -11,9 +11,11 @@ from ddpc_cosim.files.tables import Cell, Heading, Row, Table
 from ddpc_cosim.files.texts import clipped
 from ddpc_cosim.study.verdicts.reliability import (
     QUANTILES,
+    WORST,
     Association,
     Quantile,
     Reliability,
+    extreme_runs,
     seeds_needed,
 )
 from ddpc_cosim.study.verdicts.sentences import bold, italic, join_words, rate_words
@@ -47,7 +49,23 @@ def reliability_statements(condition: Condition, reliabilities: Sequence[Reliabi
     statements = [Statement("How often", text)]
     if any(item.associations for item in reliabilities):
         statements.append(Statement("Parameters", _parameter_words(condition, reliabilities)))
+    if any(case.batched for case in condition.cases):
+        statements.append(Statement("Samples", _samples_words(condition)))
     return statements
+
+
+def _samples_words(condition: Condition) -> Markup:
+    """Say of which runs there are samples, and which are the worst."""
+    cases, worst = condition.cases, []
+    for controller in condition.controllers:
+        seeds = [case.seed for case in extreme_runs(condition.results.study, controller.cases)[:WORST]]
+        worst.append(
+            Markup("{} with seeds {}").format(italic(controller.label), join_words(list(map(str, seeds))))
+        )
+    return Markup(
+        "They are kept of {:,} of {:,} runs: those of the first seeds, and of each controller the {} worst, "
+        "the middle and the best one. The worst are {}. Any other is made again by its seed, to the last bit."
+    ).format(sum(case.has_samples for case in cases), len(cases), WORST, _first(worst))
 
 
 def _first(parts: Sequence[Markup]) -> Markup:

@@ -58,14 +58,16 @@ def _is_behind(condition: Condition, last: ControllerResults) -> bool:
 
 
 def _why(condition: Condition, controller: ControllerResults, best: ControllerResults | None) -> Markup:
-    case = next((case for case in controller.cases if case.failed), controller.first_case)
-    if case is None:
+    failing = (case for case in controller.cases if case.failed and case.has_samples)
+    case = next(failing, controller.first_case)
+    if case is None or not case.has_samples:
         return Markup("")
     trace = case.trace()
     if not len(trace):
         return Markup("Seed {}: {}: {}.").format(case.seed, case.outcome, _reason(case))
     clock = clock_of(condition)
-    rival = next((other for other in best.cases if other.seed == case.seed), None) if best else None
+    rivals = (other for other in best.cases if other.seed == case.seed and other.has_samples) if best else ()
+    rival = next(iter(rivals), None)
     theirs = rival.trace() if rival else None
     at = _time(clock, trace.time[-1])
     ended = "" if trace.completed else f"It ends at {at}: {_reason(case)}. "

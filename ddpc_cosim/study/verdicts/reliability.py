@@ -27,7 +27,7 @@ QUANTILES = (0.5, 0.9, 0.99)
 _FEWEST_RUNS = 10  # of which a rank correlation is taken
 _FEWEST_FAILED = 5  # and as many that did not fail, of which means are compared
 _MOST_POINTS = 120
-_WORST = 3
+WORST = 3
 
 
 class FailureRate(NamedTuple):
@@ -206,7 +206,7 @@ def extreme_runs(study: Study, cases: Sequence[CaseResult]) -> list[CaseResult]:
     chosen = []
     for runs in groups.values():
         runs.sort(key=worst_first)
-        chosen += [*runs[:_WORST], runs[len(runs) // 2], runs[-1]]
+        chosen += [*runs[:WORST], runs[len(runs) // 2], runs[-1]]
     return chosen
 
 

@@ -128,7 +128,10 @@ def first_runs(condition: Condition) -> dict[str, Trace]:
 
 def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]], Over]:
     """Read the runs that did not fail, by column, of as many seeds as there is time for."""
+    # Of so many seeds that only figures are kept, the first have samples.
     seeds = condition.seeds[: min(_MOST_SEEDS, _MOST_ROWS // rows)]
+    without = {case.seed for case in condition.cases if case.seed in seeds and not case.has_samples}
+    seeds = tuple(seed for seed in seeds if seed not in without)
     if len(seeds) < 2:
         return {}, Over()
     runs, failed, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces

@@ -113,16 +113,23 @@ def _ends(results: StudyResults, ended_early: Sequence[CaseResult]) -> Iterator[
 
 
 def _failing(cases: Sequence[CaseResult]) -> tuple[list[list[CaseResult]], int]:
-    """Return the cases with fallbacks of each controller and scenario, and how many of them are read."""
+    """Return the cases with fallbacks of each controller and scenario, and how many of them are read.
+
+    Those whose samples are kept come first.
+    """
     by_place: dict[tuple[str, str], list[CaseResult]] = {}
     for case in cases:
         if case.metrics.get("failures [1]", 0.0) > 0:
             by_place.setdefault((case.controller, case.scenario), []).append(case)
+    for of_place in by_place.values():
+        of_place.sort(key=lambda case: not case.has_samples)
     return [*by_place.values()], 1 + _READ // max(len(by_place), 1)
 
 
 def _fallbacks(cases: Iterable[CaseResult]) -> Iterator[_Event]:
     for case in cases:
+        if not case.has_samples:
+            continue
         trace = case.trace()
         # The fault that ended a case is not a fallback: it is shown with the run.
         statuses = trace.status[: trace.decided]

@@ -75,7 +75,7 @@ def _other_inputs(results: StudyResults) -> Iterator[Trace]:
     recording, scenarios = results.study.recording, results.study.scenarios
     yield from (
         case.trace()
-        for case in {case.scenario: case for case in results.cases}.values()
+        for case in {case.scenario: case for case in results.cases if case.has_samples}.values()
         if scenarios[case.scenario].inputs or (recording and recording.inputs)
     )
 

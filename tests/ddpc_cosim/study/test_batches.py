@@ -14,6 +14,7 @@ from ddpc_cosim import ConfigError, CosimError, StudyResults, load_results
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import runner
 from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
+from ddpc_cosim.study.results import write_report
 from ddpc_cosim.study.verdicts.reliability import extreme_runs
 
 SEEDS = 12
@@ -83,6 +84,8 @@ def test_figures_are_those_of_single_runs(study: Path, monkeypatch: pytest.Monke
     assert sum(name.startswith("batch-") for name in written) == 3 * 4
     csv = [(study.parent / out / "metrics.csv").read_text().splitlines() for out in ("out", "alone")]
     assert [len(lines) for lines in csv] == [1 + 2 * SEEDS] * 2
+    said = CliRunner().invoke(main, ["diff", *(str(study.parent / out) for out in ("out", "alone"))])
+    assert said.exit_code == 0, said.output
 
 
 @pytest.mark.usefixtures("small")
@@ -190,9 +193,18 @@ def test_a_changed_figure_is_not_believed(study: Path) -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_report_and_terminal_say_what_is_kept(study: Path) -> None:
-    run(study)
-    written = CliRunner().invoke(main, ["report", str(study.parent / "out")])
-    assert written.exit_code == 0, written.output
-    page = (study.parent / "out/report.html").read_text(encoding="utf-8")
-    assert "of 12 seeds" in page
+def test_a_report_says_of_which_runs_there_are_samples(study: Path) -> None:
+    results = run(study)
+    path = write_report([results], study.parent / "report.md", "md")
+    text = path.read_text(encoding="utf-8")
+    kept = sum(case.has_samples for case in results.cases)
+    assert f"kept of {kept} of {len(results.cases)} runs" in text
+    for controller in ("deepc", "pid"):
+        errors = {
+            case.seed: case.metrics["mean_abs_error.angle [deg]"]
+            for case in results.cases
+            if case.controller == controller
+        }
+        first, second, third = sorted(errors, key=lambda seed: -errors[seed])[:3]
+        assert f"with seeds {first}, {second} and {third}" in text
+    assert "</html>" in write_report([results], study.parent / "report.html").read_text(encoding="utf-8")
