@@ -5,12 +5,16 @@ import os
 import warnings
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from ddpc_cosim.conditions import all_conditions
-from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, MissingLibraryError
+from ddpc_cosim.files.csv_files import load_pyarrow, write_table
 from ddpc_cosim.files.tables import Table, plain_table, table_text
 from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.loop.plotting import Picture, drawn
@@ -54,6 +58,9 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "metrics.csv",
     "cases",
 )
+METRICS_PARQUET = "metrics.parquet"
+_TEXTS = ("study", "problem", "variant", "plant", "controller", "scenario", "outcome")
+"""The columns of metrics that are no numbers."""
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
 _RUNS, CASES_RUN = "runs", "cases run"
@@ -720,19 +727,36 @@ def _earlier_runs(folder: Path) -> tuple[dict[str, str], ...]:
 
 
 def write_metrics(results: StudyResults) -> None:
-    """Write ``metrics.csv`` from the cases, whatever it holds.
+    """Write ``metrics.csv`` from the cases, whatever it holds; of batches as Parquet too, if that is there.
 
     Raises
     ------
     OSError
         It cannot be written.
     """
-    content = encodable(_metrics_table(results.whole, results.cases)).encode()
-    write_atomically(results.folder / METRICS_FILE, content)
+    header, rows = _metrics_table(results.whole, results.cases)
+    write_atomically(results.folder / METRICS_FILE, encodable(table_text(header, rows)).encode())
+    if any(case.batched for case in results.cases):
+        with suppress(MissingLibraryError):
+            _write_parquet(results.folder / METRICS_PARQUET, header, rows)
 
 
-def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
-    """Return ``metrics.csv``."""
+def _write_parquet(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Write the table of metrics with columns of text and of numbers: what is not there is NaN."""
+    load_pyarrow()
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    texts = {name: [*map(str, columns.pop(name))] for name in _TEXTS if name in columns}
+    numbers = {
+        name: np.array([math.nan if value == "" else value for value in column], dtype=np.float64)
+        for name, column in columns.items()
+    }
+    with ScratchFolder(path.parent, STAGING) as staging:
+        write_table(staging / path.name, numbers, texts)
+        (staging / path.name).replace(path)
+
+
+def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> tuple[list[str], list[list[Any]]]:
+    """Return header and rows of ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
     parameters = list(dict.fromkeys(name for case in cases for name in case.drawn))
     has_variants = any(problem.variant_of for problem in study.problems.values())
@@ -759,4 +783,4 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
                 *(case.metrics.get(key, math.nan) for key in keys),
             ]
         )
-    return table_text(header, rows)
+    return header, rows

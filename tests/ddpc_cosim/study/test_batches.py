@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from studies import cases_in, run_file, study_text, write
@@ -84,6 +85,10 @@ def test_figures_are_those_of_single_runs(study: Path, monkeypatch: pytest.Monke
     assert sum(name.startswith("batch-") for name in written) == 3 * 4
     csv = [(study.parent / out / "metrics.csv").read_text().splitlines() for out in ("out", "alone")]
     assert [len(lines) for lines in csv] == [1 + 2 * SEEDS] * 2
+    frame, table = together.frame(), pd.read_parquet(study.parent / "out/metrics.parquet")
+    for name in ("controller", "seed", "failed", "parameter mass [kg]", "mean_abs_error.angle [deg]"):
+        assert table[name].tolist() == frame[name].tolist()
+    assert not (study.parent / "alone/metrics.parquet").exists()
     said = CliRunner().invoke(main, ["diff", *(str(study.parent / out) for out in ("out", "alone"))])
     assert said.exit_code == 0, said.output
 
