@@ -3,10 +3,12 @@
 Neither the build nor the built pages ask anything of a network: formulas become outlines of STIX Two Math,
 and MathML for whoever has them read aloud; text is in the fonts of the reader's system. A page that would
 load something from elsewhere is a warning. The built-in studies are run on a few seeds, so that their reports
-open behind their pictures: their cases stand below the folder of doctrees, and are not run again.
+open behind their pictures: their cases stand below the folder of doctrees, or in ``STUDY_RUNS``, where those
+that the tests have run are, and are not run again.
 """
 
 import dataclasses
+import os
 import re
 import shutil
 from pathlib import Path
@@ -152,7 +154,7 @@ def _run_studies(app: Sphinx) -> None:
     reports = Path(app.outdir, "reports")
     reports.mkdir(parents=True, exist_ok=True)
     for name, seeds in REPORTS.items():
-        folder = Path(app.doctreedir, "runs", name)
+        folder = Path(os.environ.get("STUDY_RUNS") or Path(app.doctreedir, "runs"), name)
         results = ddpc_cosim.Study.read(name).run(folder, jobs=2, seeds=seeds, progress=False)
         shutil.copy(results.report(), reports / f"{name}.html")
 

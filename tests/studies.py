@@ -1,5 +1,6 @@
 """Study files of tests, each of which says only what is special in its own, and how they are run."""
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,12 @@ def write(folder: Path, text: str, name: str = "study.toml") -> Path:
 def run_file(study: str | Path, out: str | Path = "out", **options: Any) -> StudyResults:
     """Run a study into a folder beside it, as a user of Python does, without a word."""
     return Study.read(study).run(Path(study).parent / out, **{"progress": False} | options)
+
+
+def folder_of_runs(study: str, otherwise: Path) -> Path:
+    """Return where a built-in study is run: where the site looks for its cases, too, if that is said."""
+    shared = os.environ.get("STUDY_RUNS")
+    return Path(shared, study) if shared else otherwise
 
 
 def cases_in(study: str | Path) -> list[Case]:

@@ -127,7 +127,7 @@ def program_of(code: ControllerCode) -> Program:
             ).hexdigest()
             path = cached(
                 f"loops/{place[:16]}/loop{compiler.platform.suffix}",
-                lambda: compile_library(compiler, sources, _FUNCTIONS),
+                lambda: compile_library(compiler, sources, _FUNCTIONS, keep_objects=True),
             )
             _programs[digest] = Program(path)
         except (ExportError, OSError) as error:  # in a sandbox the cache folder is not to be written to

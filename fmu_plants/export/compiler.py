@@ -1,8 +1,10 @@
 """Finding C compilers, for this machine and for any platform, and making shared libraries with them."""
 
+import hashlib
 import importlib.metadata
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -16,7 +18,7 @@ from pathlib import Path
 from fmu_plants.commands import captured
 from fmu_plants.export.binaries import exported_symbols
 from fmu_plants.export.platforms import Platform, host_platform
-from fmu_plants.files import cache_dir
+from fmu_plants.files import cache_dir, cached
 from fmu_plants.installing import how_to_install
 from fmu_plants.model import ExportError
 
@@ -33,6 +35,8 @@ _NO_COMPILER = (
 # processor.
 FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden")
 _FAST = ("-O2", "-shared")
+_OF_LINKING = ("-shared", "-s")
+_INCLUSION = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
 ZIG = (sys.executable, "-P", "-m", "ziglang", "cc")  # -P: nothing in the current folder is a module
 
 _NO_ZIG = (
@@ -257,6 +261,8 @@ def compile_library(
     required: Sequence[str],
     extra_flags: Sequence[str] = (),
     apart: Collection[str] = (),
+    *,
+    keep_objects: bool = False,
 ) -> bytes:
     """Compile and link C files to a shared library.
 
@@ -271,11 +277,16 @@ def compile_library(
         Further arguments, for example stricter warnings.
     apart : collection of str
         Sources that may use the same names within a file as others.
+    keep_objects : bool
+        Whether to keep in the cache folder what each source is compiled to, for other libraries that have
+        some of the same sources. There are no further arguments then.
 
     Raises
     ------
     ExportError
         The compiler fails, or the library does not load or export what it must.
+    OSError
+        What is to be kept cannot be written to the cache folder.
     """
     with tempfile.TemporaryDirectory(prefix="fmu-plants-") as name:
         folder, platform = Path(name), compiler.platform
@@ -284,12 +295,33 @@ def compile_library(
         # Everything is named relative to one folder: nothing depends on how its path is spelt.
         built = folder / f"library{platform.suffix}"
         sources = sorted(name for name in files if name.endswith(".c"))
+        if keep_objects:
+            sources = [_object(compiler, files, name, folder) for name in sources]
         compiler.build(sources, built.name, extra_flags, folder, apart)
         missing = (_unloadable if platform == host_platform() else _unlisted)(built, required)
         if missing:
             builder = f"the library for {platform.name} built by {compiler.command[0]}"
             raise ExportError(f"{builder} does not export: {', '.join(missing)}")
         return built.read_bytes()
+
+
+def _object(compiler: Compiler, files: Mapping[str, str], source: str, folder: Path) -> str:
+    """Put into a folder that has all files what one of them is compiled to, and return its name there."""
+    included, new = dict[str, str](), [source]
+    while new:
+        included |= {name: files[name] for name in new}
+        inclusions = {name for text in included.values() for name in _INCLUSION.findall(text)}
+        new = sorted(inclusions & files.keys() - included.keys())
+    flags = [flag for flag in compiler.flags if flag not in _OF_LINKING]
+    digest = hashlib.sha256(repr([compiler.identity, flags, sorted(included.items())]).encode()).hexdigest()
+    built = folder / f"{source}.o"
+
+    def compile_it() -> bytes:
+        compiler.run([*flags, "-I.", "-c", "-o", built.name, source], folder)
+        return built.read_bytes()
+
+    built.write_bytes(cached(f"objects/{digest[:16]}/{built.name}", compile_it).read_bytes())
+    return built.name
 
 
 def _output_of(

@@ -2,17 +2,21 @@
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, load_results
+from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.verdicts.findings import findings_of, overall_findings
 from tests.conftest import Run
-from tests.studies import run_file
+from tests.studies import folder_of_runs, run_file
 
 from .recomputed import key_figures_in, key_figures_of
+from .test_studies import STUDIES
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("weather")]
 
@@ -28,12 +32,21 @@ DAYS = ("peak-heat-day", "typical-heat-day")
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StudyResults]:
-    """The price of the market, and three levels of knowing, without the slow reference point."""
+    """The price of the market, and three levels of knowing, judged without the reference point."""
     folder = tmp_path_factory.mktemp("buildings")
+    out = folder_of_runs("buildings", folder / "out")
+    results = run_file(STUDIES / "buildings.toml", out, jobs=2, seeds=[0, 1], only=BOUGHT_AHEAD)
     text = 'extends = "buildings"\ncontrollers.nmpc = false\n'
     (folder / "house.toml").write_text(text, encoding="utf-8")
-    results = run_file(folder / "house.toml", jobs=2, seeds=[0, 1], only=BOUGHT_AHEAD)
-    return {problem.study.name: problem for problem in results.problems()}
+    judged = read_study(str(folder / "house.toml")).problems
+    return {
+        problem.study.name: replace(
+            problem,
+            whole=WholeStudy.of(judged[problem.study.name].study),
+            cases=tuple(case for case in problem.cases if case.controller != "nmpc"),
+        )
+        for problem in results.problems()
+    }
 
 
 def mean_of(results: StudyResults, controller: str, metric: str, scenario: str = "highly-dynamic") -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies import run_file
+from studies import folder_of_runs, run_file
 
 from ddpc_cosim import CaseResult, FloatArray, Outcome, StudyResults
 from ddpc_cosim.study.reading import read_study
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("studies")
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
 ELSEWHERE = ("benchmark", "buildings", "forecast", "paper", "prices")  # have tests of their own
-LONG = ("mimo", "noise", "time-varying", "tuning", "unstable")
+LONG = ("direction-change", "mimo", "noise", "time-varying", "tuning", "unstable")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in sorted(path.stem for path in STUDIES.glob("*.toml"))
@@ -39,7 +39,7 @@ def results_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Stud
 
     def run(name: str) -> StudyResults:
         if name not in done:
-            study, folder = STUDIES / f"{name}.toml", tmp_path_factory.mktemp(name)
+            study, folder = STUDIES / f"{name}.toml", folder_of_runs(name, tmp_path_factory.mktemp(name))
             seeds = read_study(str(study)).problem.study.seeds[: 3 if name in COMPARATIVE else 1]
             done[name] = run_file(study, folder, jobs=2, seeds=seeds)
         return done[name]
@@ -139,6 +139,7 @@ def test_of_the_sweeps_one_setting_fails(results_of: Results) -> None:
 LEARNT_ONCE = ("deepc", "wkpc", "mpc", "pid")
 
 
+@pytest.mark.slow
 def test_what_was_learnt_or_given_once_fails_when_the_direction_turns(
     results_of: Results,
 ) -> None:
@@ -150,6 +151,7 @@ def test_what_was_learnt_or_given_once_fails_when_the_direction_turns(
         assert all(case.failed for case in cases_of(results, scenario, *LEARNT_ONCE, "spsa"))
 
 
+@pytest.mark.slow
 def test_who_goes_on_learning_recovers_before_the_next_step(results_of: Results) -> None:
     results = results_of("direction-change")
     for scenario in results.study.scenarios:
@@ -161,6 +163,7 @@ def test_who_goes_on_learning_recovers_before_the_next_step(results_of: Results)
     assert results.study.controllers["mfapc"].settings["form"] == "ffdl"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["deepc-online", "wkpc-online"])
 def test_data_that_fade_recover(controller: str, results_of: Results) -> None:
     results = results_of("direction-change")

@@ -9,7 +9,7 @@ import pytest
 
 from ddpc_cosim import CaseResult, StudyResults, load_results
 from ddpc_cosim.study.verdicts.findings import findings_of
-from tests.studies import run_file
+from tests.studies import folder_of_runs, run_file
 
 from .test_studies import STUDIES, check_figures, check_that_cases_end_within_bounds
 
@@ -27,7 +27,7 @@ def run_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
     def run(name: str) -> Path:
         if name not in done:
-            done[name] = tmp_path_factory.mktemp(name)
+            done[name] = folder_of_runs(name, tmp_path_factory.mktemp(name))
             run_file(STUDIES / f"{name}.toml", done[name], jobs=2, seeds=list(SEEDS))
         return done[name]
 

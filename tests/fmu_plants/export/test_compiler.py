@@ -1,5 +1,6 @@
 """Which compiler is used, what it must accept, and what is said when it fails."""
 
+import ctypes
 import shlex
 import shutil
 import sys
@@ -15,6 +16,7 @@ from fmu_plants.export.platforms import PLATFORMS
 from fmu_plants.pendulum import MODEL
 
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
+SHOWN = '__attribute__((visibility("default")))'
 ZIG = Compiler((sys.executable, "-m", "ziglang", "cc"), "zig")
 
 
@@ -94,6 +96,25 @@ def test_a_program_that_cannot_run_is_named(tmp_path):
 def test_the_compiler_s_own_words_are_passed_on():
     with pytest.raises(ExportError, match=r"(?s)exit code 1.*a\.c.*nonsense"):
         compile_library(find_compiler(), {"a.c": "nonsense"}, [])
+
+
+def test_of_sources_that_libraries_share_what_they_are_compiled_to_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path))
+    files = {
+        "value.h": "#define VALUE 1\n",
+        "all.h": '#include "value.h"\nint twice(int);\n',
+        "twice.c": "int twice(int x) { return 2 * x; }",
+        "f.c": f'#include "all.h"\n{SHOWN} int f(void) {{ return twice(VALUE); }}',
+    }
+
+    def result_and_kept():
+        library = tmp_path / f"{len(list(tmp_path.iterdir()))}{find_compiler().platform.suffix}"
+        library.write_bytes(compile_library(find_compiler(), files, ["f"], keep_objects=True))
+        return ctypes.CDLL(str(library)).f(), sorted(path.name for path in tmp_path.rglob("*.o"))
+
+    assert result_and_kept() == (2, ["f.c.o", "twice.c.o"])
+    files["value.h"] = "#define VALUE 21\n"
+    assert result_and_kept() == (42, ["f.c.o", "f.c.o", "twice.c.o"])
 
 
 def test_a_library_that_lacks_a_function_is_refused():

@@ -369,7 +369,7 @@ def alternatives(value: Any) -> list[Any]:
     if isinstance(value, list):
         return [value[:-1], [*value, *alternatives(value[-1])[:1]]] if value else []
     if isinstance(value, str):
-        return [*_WORDS, f"{value}x"]
+        return [f"{value}x", *_WORDS]
     return []
 
 
@@ -501,9 +501,11 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
 def test_studies_that_differ_in_one_value_read_differently(results: StudyResults) -> None:
     content = CONTENT | {"name": "every"}
     seen = {text(with_study(results, content)): "the study itself"}
-    tried = set()
+    tried, free = set(), set()
     settings = {key: value for key, value in content.items() if key not in TEXTS}
     for path, value in changes(settings):
+        if path in free:
+            continue
         try:
             other = with_study(results, changed(content, path, value))
         except ConfigError:
@@ -511,6 +513,8 @@ def test_studies_that_differ_in_one_value_read_differently(results: StudyResults
         place = f"{path} = {value!r}"
         assert seen.setdefault(text(other), place) == place
         tried.add(path)
+        if isinstance(value, str) and value not in _WORDS:
+            free.add(path)  # it may be any text: one other is enough
     fixed = {
         path
         for path, _ in changes(settings)
