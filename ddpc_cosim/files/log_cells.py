@@ -546,7 +546,12 @@ class _Reader:
         if self._columns is None:
             places = [place for place in self._places if place is not None]
             return [
-                _Wanted(split_unit(head.header[i])[0], units[i], i, _as_it_stands)
+                _Wanted(
+                    head.header[i] if head.scope else split_unit(head.header[i])[0],
+                    units[i],
+                    i,
+                    _as_it_stands,
+                )
                 for i in places
                 if not self._numbers[i].are_texts
             ]

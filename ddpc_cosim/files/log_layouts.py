@@ -20,7 +20,7 @@ _TITLE = re.compile(r"[^\s\[(]+(?:\s?\[[^\]]*\]|\s?\([^)]*\))?")  # with a unit 
 _COMMENT = "#%"  # how programs mark a header above columns of numbers
 
 _NAME = "Name"
-_OF_SCOPE = {"SampleTime[ms]", "Starttime of export", "StartRecord"}
+_OF_SCOPE = ("SampleTime[ms]", "Starttime of export", "StartRecord")
 _BEGINS = ("Starttime of export", "StartRecord")
 _END = "EOF"
 _1601 = 116_444_736_000_000_000  # from 1601 to 1970 in 100 ns, as Windows counts
@@ -36,6 +36,8 @@ def aligned(lines: Sequence[str]) -> Callable[[str], str] | None:
         The first lines of the file.
     """
     filled = [line for line in lines if line.strip()]
+    if any(line.startswith(_OF_SCOPE) for line in filled):
+        return None
     for i, line in enumerate(filled):
         if _SEPARATORS.search(line) or ("\t" in line and "\t\t" not in line.strip()):
             continue
@@ -115,13 +117,24 @@ class Scope(NamedTuple):
 
     @classmethod
     def of(cls, lines: Sequence[str]) -> "Scope | None":
-        """Return what the first lines of a file say; None if they are not those of such an export."""
+        """Return what the first lines of a file say; None if they are not those of such an export.
+
+        Raises
+        ------
+        ValueError
+            It is one whose cells cannot be told from each other.
+        """
+        if not any(line.startswith(_OF_SCOPE) for line in lines):
+            return None
         first = next((line for line in lines if line.strip()), "")
         delimiter = delimiter_of(first)
         rows = [[cell.strip().strip('"') for cell in line.split(delimiter)] for line in lines]
         titles = [i for i, row in enumerate(rows) if row[0] == _NAME]
-        if not titles or not _OF_SCOPE & {row[0] for row in rows}:
-            return None
+        if not titles or not {*_OF_SCOPE} & {row[0] for row in rows}:
+            raise ValueError(
+                "an export of TwinCAT Scope whose separator may stand in names and times: export it with "
+                "tabs or semicolons between its columns"
+            )
         head = rows[titles[-1]]
         times = tuple(i for i, cell in enumerate(head) if cell == _NAME)
         said = {row[0]: row for row in rows[titles[-1] :] if row[0]}

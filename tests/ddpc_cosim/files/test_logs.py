@@ -174,6 +174,13 @@ def test_full_time_stamps_of_scope(tmp_path: Path) -> None:
     assert column(log.values) == [0.5, 1.5, 2.5]
 
 
+@pytest.mark.parametrize("mark", [" ", ":"])
+def test_an_export_of_scope_with_a_separator_that_names_have_is_refused(tmp_path: Path, mark: str) -> None:
+    text = f"{_SCOPE}Name,my pump\nSampleTime[ms],1\n\n0,1\n1,2\n".replace(",", mark)
+    with pytest.raises(DataError, match="export it with tabs or semicolons between its columns"):
+        log_of(tmp_path, text)
+
+
 def test_a_channel_of_scope_without_its_time_and_one_with_a_time_twice(tmp_path: Path) -> None:
     rows = "0,1,0,1\n1,2,,2\n2,3,2,3\n2,4,3,4\n"
     text = f"{_SCOPE}Name,pump,Name,level\nSampleTime[ms],1,SampleTime[ms],1\n\n{rows}"
