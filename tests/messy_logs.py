@@ -84,6 +84,9 @@ def messy_logs() -> Iterator[MessyLog]:
     yield _with_outliers(values)
     yield _with_codes(values)
     yield _with_tags(values)
+    yield _of_scope(values)
+    yield MessyLog("aligned columns", {"log.txt": _aligned(values)}, {}, values)
+    yield MessyLog("units in cells", {"log.csv": _with_units(values)}, {}, values)
 
 
 _BEGIN = datetime(2026, 3, 2, 8, tzinfo=UTC)
@@ -223,3 +226,68 @@ def _with_tags(values: FloatArray) -> MessyLog:
     content = {"log.csv": (_text(header, rows, "\t") + "\t\t\t\t\t\n").encode()}
     keys = {"time_column": ["Date", "Time"], "dates": "dd/mm/yyyy"}
     return MessyLog("tags", content, keys, values, columns=dict(zip(NAMES, tags, strict=True)))
+
+
+def _of_scope(values: FloatArray) -> MessyLog:
+    """As TwinCAT Scope exports it: channels below each other, times in ms before those of one sampling time.
+
+    Pumps were recorded every 5 s and levels every 10 s, whose rows hence end in the middle of the file.
+    """
+    groups, slow, at = [(NAMES[:2], 5000), (NAMES[2:], 10000)], values[::2, 2:], np.arange(len(values))
+    units = dict(zip(NAMES, ("V (Voltage)", "V (Voltage)", "mm (Length)", "mm (Length)"), strict=True))
+    said = {
+        "Name": lambda name, _: name,
+        "SymbolComment": lambda *_: "",
+        "Data-Type": lambda *_: "REAL64",
+        "SampleTime[ms]": lambda _, period: str(period),
+        "SymbolName": lambda name, _: f"MAIN.{name}",
+        "Unit": lambda name, _: units[name],
+    }
+    ticks = 10 * round(_BEGIN.timestamp() * 1e6) + 116_444_736_000_000_000
+    rows = [
+        ["Name", "tanks"],
+        ["File", "C:\\scopes\\tanks.svdx"],
+        ["Starttime of export", str(ticks), "Montag, 2. M\u00e4rz 2026", "09:00:00.000"],
+        [],
+        [],
+        *(
+            [cell for names, period in groups for cell in (key, *(text(name, period) for name in names))]
+            for key, text in said.items()
+        ),
+        [],
+        *(
+            [
+                f"{5000 * i}",
+                *map(repr, values[i, :2].tolist()),
+                *([f"{10000 * i}", *map(repr, slow[i].tolist())] if i < len(slow) else []),
+            ]
+            for i in range(len(values))
+        ),
+        ["EOF"],
+    ]
+    text = "\n".join("\t".join(row) for row in rows).replace(".", ",")
+    expected = values[: at[::2][-1] + 1].copy()
+    for n in (2, 3):
+        expected[:, n] = np.interp(at[: len(expected)], at[::2], values[::2, n])
+    return MessyLog(
+        "TwinCAT Scope",
+        {"log.csv": text.encode()},
+        {"missing": 1, "gaps": "split"},
+        expected,
+        treatments=("118 cells interpolated", "1 sample left out"),
+    )
+
+
+def _aligned(values: FloatArray) -> bytes:
+    """Columns that blanks align, as a report prints them; date and time of the day in one of them."""
+    rows = [["time", *_headers()], *_rows(values)]
+    return "\n".join("  ".join(cell.rjust(20) for cell in row) for row in rows).encode()
+
+
+def _with_units(values: FloatArray) -> bytes:
+    """The unit stands in each cell, and not in the header."""
+    rows = [
+        [date, *(f"{cell} {unit}" for cell, unit in zip(row, UNITS, strict=True))]
+        for date, *row in _rows(values)
+    ]
+    return _text(["time", *NAMES], rows).encode()

@@ -3,9 +3,10 @@
 import codecs
 import csv
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from array import array
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -36,8 +37,9 @@ from ddpc_cosim.files.log_dates import (
     read_dates,
 )
 from ddpc_cosim.files.log_format import Faults, LogFormat
+from ddpc_cosim.files.log_layouts import Scope, Union, aligned
 from ddpc_cosim.variables import FloatArray, Variable, converter
-from fmu_plants.units import is_unit
+from fmu_plants.units import display_unit, is_unit
 
 _LARGEST = 4_000_000_000
 _ROWS = 20_000  # that are converted at once
@@ -53,6 +55,7 @@ _LIKELY_TIME = re.compile(
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
+_MEASURED = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+|(?=[%\u00b0]))([^\d\s]\S*)")
 _GROUPED = "thousands are separated there: export numbers without that"
 _TRUTHS = {"true": 1.0, "false": 0.0}
 _SWITCHED = {"on": 1.0, "off": 0.0, "yes": 1.0, "no": 0.0, "ein": 1.0, "aus": 0.0, "ja": 1.0, "nein": 0.0}
@@ -130,6 +133,8 @@ class _Numbers:
         self.marks: dict[str, int] = {}
         self.odd: dict[int, str] = {}
         self.words: dict[int, str] = {}
+        self.units: dict[str, array[int]] = {}
+        self.foreign: dict[int, str] = {}
         self._filled = 0
 
     @property
@@ -188,9 +193,30 @@ class _Numbers:
         for i in wrong:
             if text := said[i].strip():
                 self._filled += 1
+                if (measured := _MEASURED.fullmatch(cells[i].strip())) and is_unit(measured[2]):
+                    values[i] = float(measured[1])
+                    self.units.setdefault(measured[2], array("q")).append(self._rows + i)
+                    continue
                 kind = self.odd if any(letter.isdigit() for letter in text) else self.words
                 kind[self._rows + i] = text[:40]
         return values
+
+    def settle_unit(self, unit: str) -> str:
+        """Return the unit of the column: its header's, or that of most cells; others are taken out."""
+        if not self.units:
+            return unit
+        values = self.values
+        usual = unit or max(self.units, key=lambda name: len(self.units[name]))
+        plain = np.isfinite(values) & (not unit)  # a header says the unit of cells that have none
+        for other, rows in self.units.items():
+            plain[rows] = False
+            if not _are_same(usual, other):
+                self.foreign |= dict.fromkeys(rows, f"is in {other}, and the column in {usual}")
+        bare = f"has no unit, and the column is in {usual}"
+        self.foreign |= dict.fromkeys(np.flatnonzero(plain).tolist(), bare)
+        values[[*self.foreign]] = np.nan
+        self._parts = [values]
+        return usual
 
     def read_switches(self) -> None:
         """Take ``ON`` and ``OFF`` for 1 and 0, where nothing else is in the column."""
@@ -204,6 +230,13 @@ class _Numbers:
     def values(self) -> FloatArray:
         """Return what has been read."""
         return np.concatenate([np.empty(0), *self._parts])
+
+
+def _are_same(unit: str, other: str) -> bool:
+    """Whether two names are those of one unit, such as degC and \u00b0C."""
+    with suppress(ValueError):
+        return replace(display_unit(unit, other), name="") == replace(display_unit(unit, unit), name="")
+    return unit == other
 
 
 def number(cell: str) -> float:
@@ -221,6 +254,7 @@ class _Head(NamedTuple):
     header: tuple[str, ...]
     units: tuple[str, ...]
     skipped: int
+    scope: Scope | None = None
 
 
 def read_cells(
@@ -363,14 +397,13 @@ class _Reader:
         self._instants: list[Instants] = []
         self._with_zone = False
         self._wrong: list[tuple[str, str]] = []
-        self._has_more = False
+        self._has_more = self._is_aligned = False
 
     def text(self, encoding: str) -> LogTable:
         """Return the numbers of a CSV file."""
         head = self.head(encoding)
         self._begin(head)
-        with self._path.open(encoding=encoding, newline="") as file:
-            lines = iter(file)
+        with self._lines_of(encoding) as lines:
             before = len(list(islice(lines, head.skipped)))
             while piece := list(islice(lines, _ROWS)):
                 if any('"' in line for line in piece):  # a cell may go on in the next piece
@@ -380,15 +413,26 @@ class _Reader:
                     self._take_rows(piece, head, before)
                 before += len(piece)
         hint = "" if self._has_more else "delete what is not a row of the table"
-        if self._has_more and head.delimiter == ",":
+        if self._is_aligned:
+            hint = "columns without a separator have no empty cells: export it with semicolons between them"
+        elif self._has_more and head.delimiter == ",":
             hint = "a decimal comma needs columns separated by semicolons"
         self._faults.add("rows", self._file, self._wrong, hint)
         return self._table(head)
 
     def head(self, encoding: str) -> _Head:
         """Return what stands before the rows of a CSV file."""
+        with self._lines_of(encoding) as lines:
+            return self._head(list(islice(lines, _HEAD)))
+
+    @contextmanager
+    def _lines_of(self, encoding: str) -> Iterator[Iterator[str]]:
+        """Open the file's lines, cells of aligned columns being separated by tabs."""
         with self._path.open(encoding=encoding, newline="") as file:
-            return self._head(list(islice(file, _HEAD)))
+            first = list(islice(file, _HEAD))
+            lines, cut = chain(first, file), aligned(first)
+            self._is_aligned = cut is not None
+            yield iter(lines) if cut is None else map(cut, lines)
 
     def parquet(self) -> LogTable:
         """Return the numbers of a Parquet file."""
@@ -408,6 +452,8 @@ class _Reader:
 
     def _head(self, lines: list[str]) -> _Head:
         """Return the header: of the first lines the one that has most of the names that are known."""
+        if scope := Scope.of(lines):
+            return _Head(scope.delimiter, scope.header, scope.units, scope.skipped, scope)
         ends = [i for i, line in enumerate(lines, 1) if line.startswith(_END_OF_HEADER)]
         above = ends[-1] if ends else 0
         first = next((i for i, line in enumerate(lines) if i >= above and line.strip()), -1)
@@ -459,16 +505,14 @@ class _Reader:
 
     def _begin(self, head: _Head) -> None:
         """Note which columns are read."""
-        self._of_time = self._time_indices(head)
+        self._of_time = [] if head.scope else self._time_indices(head)
         if self._columns is None:
-            self._wanted = [
-                _Wanted(split_unit(name)[0], head.units[i], i, _as_it_stands)
-                for i, name in enumerate(head.header)
-                if name and i not in self._of_time
+            self._places: list[int | None] = [
+                i for i, name in enumerate(head.header) if name and i not in self._of_time
             ]
         else:
-            self._wanted = [self._located(head, column) for column in self._columns]
-        indices = {wanted.place for wanted in self._wanted if wanted.place is not None}
+            self._places = [self._place(head, column) for column in self._columns]
+        indices = {i for i in self._places if i is not None} | {*(head.scope.times if head.scope else ())}
         self._numbers = {i: _Numbers(with_comma=head.delimiter != ",") for i in sorted(indices)}
         self._times: list[list[Sequence[str] | FloatArray]] = [[] for _ in self._of_time]
 
@@ -490,15 +534,36 @@ class _Reader:
             self._faults.add("time column", "", [("", fault)], remedy)
         return likely if self._lenient and absent else indices
 
-    def _located(self, head: _Head, column: Column) -> _Wanted:
+    def _place(self, head: _Head, column: Column) -> int | None:
+        try:
+            return find_column(self._file, head.header, column.header)
+        except DataError as error:
+            self._faults.add(f"column {column.header}", "", [("", fault) for fault in error.faults])
+            return None
+
+    def _wanted_of(self, units: Sequence[str], head: _Head) -> list[_Wanted]:
+        """Return the columns of the result, those of the file being in these units."""
+        if self._columns is None:
+            places = [place for place in self._places if place is not None]
+            return [
+                _Wanted(
+                    head.header[i] if head.scope else split_unit(head.header[i])[0],
+                    units[i],
+                    i,
+                    _as_it_stands,
+                )
+                for i in places
+                if not self._numbers[i].are_texts
+            ]
+        columns = zip(self._columns, self._places, strict=True)
+        return [self._located(head, units, column, place) for column, place in columns]
+
+    def _located(self, head: _Head, units: Sequence[str], column: Column, index: int | None) -> _Wanted:
         variable, header, unit, difference = column
         name, its_unit = (header, "") if variable is None else (variable.name, variable.unit)
-        try:
-            index = find_column(self._file, head.header, header)
-        except DataError as error:
-            self._faults.add(f"column {header}", "", [("", fault) for fault in error.faults])
+        if index is None:
             return _Wanted(name, its_unit, None, _as_it_stands)
-        given = head.units[index] or unit
+        given = units[index] or unit
         if given and unit and given != unit:
             where, what = f'column "{head.header[index]}"', f'unit = "{unit}" contradicts its header'
             self._faults.add(f"unit of {header}", self._file, [(where, what)])
@@ -550,6 +615,8 @@ class _Reader:
             for row in reader:
                 if len(row) == width + 1 and not row[-1]:
                     row.pop()
+                if head.scope and (len(row) < width or head.scope.is_end(row)):
+                    row = [] if head.scope.is_end(row) else [*row, *[""] * (width - len(row))]
                 if tuple(map(str.strip, row)) == head.header:  # a logger that was started again
                     continue
                 if len(row) == width and any(row):
@@ -599,25 +666,29 @@ class _Reader:
         for numbers in self._numbers.values():
             numbers.read_switches()
         texts = [i for i, numbers in self._numbers.items() if numbers.are_texts]
-        if self._columns is None:
-            self._wanted = [wanted for wanted in self._wanted if wanted.place not in texts]
+        units = [
+            self._numbers[i].settle_unit(unit) if i in self._numbers else unit
+            for i, unit in enumerate(head.units)
+        ]
+        columns = self._wanted_of(units, head)
         self._check_numbers(head, texts, lines)
-        values = np.full((len(lines), len(self._wanted)), np.nan)
+        values = np.full((len(lines), len(columns)), np.nan)
         words, reported, codes = dict[tuple[int, int], str](), set[tuple[int, int]](), 0
-        for n, wanted in enumerate(self._wanted):
+        for n, wanted in enumerate(columns):
             if wanted.place is not None and wanted.place not in texts:
                 read = self._numbers[wanted.place].values
                 coded = np.isin(read, self._format.missing_values)
                 values[:, n] = wanted.convert(np.where(coded, np.nan, read))
                 codes += int(coded.sum())
                 words |= {(row, n): word for row, word in self._numbers[wanted.place].words.items()}
-                reported |= {(row, n) for row in self._numbers[wanted.place].odd}
+                numbers = self._numbers[wanted.place]
+                reported |= {(row, n) for row in (*numbers.odd, *numbers.foreign)}
         seconds, instants, untimed, remedy, are_local = self._time(head, len(lines))
-        return LogTable(
+        table = LogTable(
             self._file,
-            tuple(wanted.name for wanted in self._wanted),
-            tuple(wanted.unit for wanted in self._wanted),
-            tuple("" if wanted.place is None else head.header[wanted.place] for wanted in self._wanted),
+            tuple(wanted.name for wanted in columns),
+            tuple(wanted.unit for wanted in columns),
+            tuple("" if wanted.place is None else head.header[wanted.place] for wanted in columns),
             values,
             lines,
             seconds,
@@ -631,6 +702,44 @@ class _Reader:
             tuple(head.header[i] for i in texts) if self._columns is None else (),
             codes,
         )
+        return table if head.scope is None else self._united(table, head.scope, columns)
+
+    def _united(self, table: LogTable, scope: Scope, columns: Sequence[_Wanted]) -> LogTable:
+        """Return the rows at all times of any channel, a cell where a channel has no sample then missing."""
+        times = [scope.instants(self._numbers[i].values) for i in scope.times]
+        union = Union.of(times)
+        values, lines = table.values, table.lines
+        groups = [0 if column.place is None else scope.group_of(column.place) for column in columns]
+        table.values = np.full((len(union.instants), len(columns)), np.nan)
+        table.lines = np.zeros(len(union.instants), dtype=np.int64)
+        for rows, places in reversed(union.rows):
+            table.lines[places] = lines[rows]
+        words, reported = dict[tuple[int, int], str](), set[tuple[int, int]]()
+        for n, group in enumerate(groups):
+            rows, places = union.rows[group]
+            table.values[places, n] = values[rows, n]
+            at = dict(zip(rows.tolist(), places.tolist(), strict=True))
+            words |= {(at[row], n): word for (row, i), word in table.words.items() if i == n and row in at}
+            reported |= {(at[row], n) for row, i in table.reported if i == n and row in at}
+            untimed = np.flatnonzero(np.isnan(times[group]) & np.isfinite(values[:, n]))
+            # Scope repeats a value with its time where it fills the rows of slower channels.
+            again = rows[
+                ~np.isclose(table.values[places, n], values[rows, n], rtol=0, atol=0, equal_nan=True)
+            ]
+            for at_rows, what in (
+                (untimed, "no time stands before it"),
+                (again, "it has the time of another"),
+            ):
+                found = [
+                    (f'line {lines[row]}, column "{table.headers[n]}"', what) for row in at_rows.tolist()
+                ]
+                self._faults.add(what, self._file, found, "export it with the time of each sample")
+        table.words, table.reported = words, reported
+        if scope.begin:
+            table.instants = union.instants
+        else:
+            table.seconds = union.instants / 1e6
+        return table
 
     def _check_numbers(self, head: _Head, texts: Sequence[int], lines: NDArray[np.int64]) -> None:
         """Report columns without numbers, cells that have digits and are none, and two decimal marks."""
@@ -652,6 +761,12 @@ class _Reader:
             for i, numbers in columns.items()
             for row, cell in numbers.odd.items()
         ]
+        foreign = [
+            (f'line {lines[row]}, column "{head.header[i]}"', f"the cell {what}")
+            for i, numbers in columns.items()
+            for row, what in sorted(numbers.foreign.items())
+        ]
+        self._faults.add("units of cells", self._file, foreign, "export a column in one unit")
         cells = [cell for numbers in columns.values() for cell in numbers.odd.values()]
         if self._columns is None:
             grouped = [
@@ -674,6 +789,8 @@ class _Reader:
             self._faults.add("marks", self._file, [("", what)], "needed: one of them throughout")
 
     def _time_header(self, head: _Head) -> str:
+        if head.scope:
+            return "time"
         return " ".join(head.header[i] for i in self._of_time)
 
     def _time(self, head: _Head, rows: int) -> tuple[FloatArray, Instants | None, dict[int, str], str, bool]:
@@ -705,16 +822,18 @@ class _Reader:
                 numbers.take_plain(piece)
             else:
                 numbers.take(piece)
+        unit = numbers.settle_unit(head.units[self._of_time[0]])
         seconds = numbers.values
+        said = {row: f"the cell {what}" for row, what in numbers.foreign.items()}
+        said |= {
+            row: f'"{text}" is neither a number nor a date that is known'
+            for row, text in numbers.texts.items()
+        }
         wrong = {
-            row: f'"{numbers.texts[row]}" is neither a number nor a date that is known'
-            if row in numbers.texts
-            else "the cell is empty"
-            for row in np.flatnonzero(~np.isfinite(seconds)).tolist()
+            row: said.get(row, "the cell is empty") for row in np.flatnonzero(~np.isfinite(seconds)).tolist()
         }
         if written == "excel":
             return seconds, excel_dates(seconds), wrong, "", True
-        unit = head.units[self._of_time[0]]
         if not unit and (since_1970 := epochs(seconds)) is not None:
             return np.full(rows, np.nan), since_1970, wrong, "", False
         try:

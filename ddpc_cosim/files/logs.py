@@ -36,7 +36,7 @@ class Treatment(NamedTuple):
     ----------
     kind : str
         ``"interpolated"``, ``"duplicates"``, ``"split"``, ``"left out"``, ``"resampled"``, ``"outliers"``,
-        ``"codes"`` or ``"sorted"``.
+        ``"codes"``, ``"part"`` or ``"sorted"``.
     number : int
         To how many cells, rows or places.
     words : str
@@ -255,6 +255,10 @@ class _Treatments:
         ]
         left = int(begins[-1]) - (last - first)
         self._count("part", "sample outside the part left out", "samples outside the part left out", left)
+        if first == last and left:
+            what = f"part = {self._format.part} holds none of the {left} samples"
+            files = ", ".join(table.file for table in self._tables)
+            self._faults.add("part", files, [("", what)], "write one that is larger")
         return [part for part in taken if part.time.size]
 
     def _count(self, kind: str, one: str, many: str, number: int) -> None:

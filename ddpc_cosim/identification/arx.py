@@ -115,9 +115,7 @@ def choose_lags(samples: Samples) -> int:
     most = most_lags(samples)
     past, now = lagged(samples, most)
     width = samples.z.shape[1] - 1
-    # The constant first, then the newest: a triangular factor shows what every number of lags leaves.
-    ordered = np.hstack([past[:, -1:], past[:, :-1], now])
-    factor = triangular(ordered)[:, -now.shape[1] :]
+    factor = triangular(_by_lags(past, now))[:, -now.shape[1] :]
     lags = np.arange(1, most + 1)
     criterion = [schwarz(factor[1 + n * width :], len(past), n * width * now.shape[1]) for n in lags.tolist()]
     return int(lags[np.argmin(criterion)])
@@ -127,25 +125,38 @@ def choose_delays(samples: Samples) -> tuple[int, ...]:
     """Return the dead time of every input: rows beyond the first after which no output shows it.
 
     From autoregressive predictors without the newest samples of an input: Schwarz's criterion says how many
-    of them are not missed. An input that shows nowhere has none.
+    of them are not missed, of predictors with the number of lags that it likes best. With all lags in each of
+    them, leaving out those that say nothing would pay for leaving out those that say something. An input that
+    shows nowhere has no dead time.
     """
     samples = samples.rows(slice(0, _ROWS_FOR_DELAYS))
     most = most_lags(samples, _MOST_DELAY)
     past, now = lagged(samples, most)
     width, (m, _, p) = samples.z.shape[1] - 1, samples.counts
-    factor = triangular(np.hstack([past, now]))
+    factor = triangular(_by_lags(past, now))
     delays = np.zeros(m, dtype=int)
     for i in range(m):
         without = np.ones(factor.shape[1], dtype=bool)
-        criterion = list[float]()
+        criterion = np.full((most + 1, most), np.inf)
         for delay in range(most + 1):
-            kept = factor[:, without]
-            left = triangular(kept)[-p:, -p:]
-            criterion.append(schwarz(left, len(past), -delay * p))
-            without[delay * width + i] = False
-        best = int(np.argmin(criterion))
+            left = triangular(factor[:, without])[:, -p:]
+            kept = np.cumsum(without[1:-p].reshape(most, width).sum(axis=1)).tolist()
+            for lags in range(1 if delay == most else delay + 1, most + 1):
+                count = kept[lags - 1]
+                criterion[delay, lags - 1] = schwarz(left[1 + count :], len(past), count * p)
+            if delay < most:
+                without[1 + delay * width + i] = False
+        best = int(np.argmin(criterion.min(axis=1)))
         delays[i] = best if best < most else 0
     return tuple(delays.tolist())
+
+
+def _by_lags(past: FloatArray, now: FloatArray) -> FloatArray:
+    """Return the constant, the samples before and the outputs, side by side.
+
+    In its triangular factor the rows below those of so many lags are what these leave of the outputs.
+    """
+    return np.hstack([past[:, -1:], past[:, :-1], now])
 
 
 def triangular(matrix: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from ddpc_cosim.files.log_cells import encoding_of
 from ddpc_cosim.files.log_format import LogFormat
 from ddpc_cosim.identification.identification import Identification
 from ddpc_cosim.inspection.log_files import inspect_log, time_column_of
+from ddpc_cosim.inspection.logs import LogSummary
 from ddpc_cosim.signals.signals import Band, Reference, Steps
 from ddpc_cosim.study.file_format.sections import ControllerSection, PlantSection, RecordingSection
 from ddpc_cosim.study.plants import PlantSpec
@@ -31,6 +32,18 @@ _MENDED = LogFormat(gaps="split", missing=3, duplicates="first")
 _SEEDS = [*range(10)]
 _BY_METHOD = ("deepc",)
 """Controllers whose predictor is told that its data were recorded in closed loop."""
+
+
+def _words(summary: LogSummary) -> tuple[str, str]:
+    """Return what a log says of its plant, and what that means for controllers that do not settle."""
+    meaning = (
+        "So far ahead methods predict samples of the log that they were not shown; it does not say that a "
+        "controller settles. If none does below, look at setpoints, limits and settings before the log."
+        if summary.good
+        else "If no controller settles below, that is the likely cause: `ddpc-cosim inspect` says which "
+        "experiment to make."
+    )
+    return f"What the log says of the plant: {summary.verdict}", meaning
 
 
 class LoggedSystem:
@@ -123,7 +136,7 @@ class LoggedSystem:
             resample="no" if sampling_time is None else "mean",
         )
         signals = roles["input"], roles["output"]
-        said = (summary.verdict, *summary.reservations)
+        said = (*_words(summary), *summary.reservations)
         closed = bool(summary.evidence.closed_inputs)
         try:
             return cls(identification, *signals, said, in_closed_loop=closed)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,7 @@ REFUSED = {
     "empty cells": ["write missing = 2 to interpolate"],
     "two rates": ["write missing = 2 to interpolate"],
     "tags": ['write time_column = ["Date", "Time"]'],
+    "TwinCAT Scope": ['write missing = 1 to interpolate up to 1 in a row, or gaps = "split"'],
 }
 
 
@@ -97,6 +99,96 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
         where.format(4, "x") + "the cell is empty; write missing = 1 to interpolate up to 1 in a row, or "
         'gaps = "split" to leave out such samples',
     ]
+
+
+def test_cells_with_units_are_in_that_of_their_column(tmp_path: Path) -> None:
+    log = log_of(tmp_path, "time;x;y\n0 ms;21,5 degC;40%\n500 ms;;41 %\n1000 ms;22 \u00b0C;42 %\n", missing=1)
+    assert log.units == ("degC", "%")
+    assert log.time.tolist() == [0.0, 0.5, 1.0]
+    assert log.values.tolist() == [[21.5, 40.0], [21.75, 41.0], [22.0, 42.0]]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "faults"),
+    [
+        (
+            "x",
+            ["21 degC", "295 K", "22 degC"],
+            ['line 3, column "x": the cell is in K, and the column in degC'],
+        ),
+        ("x", ["1 V", "2 V", "3"], ['line 4, column "x": the cell has no unit, and the column is in V']),
+        ("x [V]", ["1 V", "2", "3 mV"], ['line 4, column "x [V]": the cell is in mV, and the column in V']),
+    ],
+)
+def test_a_cell_with_another_unit_is_a_fault(
+    tmp_path: Path, header: str, cells: list[str], faults: list[str]
+) -> None:
+    text = f"time;{header}\n" + "".join(f"{i};{cell}\n" for i, cell in enumerate(cells))
+    with pytest.raises(DataError) as raised:
+        log_of(tmp_path, text)
+    path = tmp_path / "log.csv"
+    assert list(raised.value.faults) == [f"{path}, {fault}; export a column in one unit" for fault in faults]
+
+
+def test_a_unit_in_cells_is_that_of_the_signal(tmp_path: Path) -> None:
+    path = written(tmp_path, "time;u;y\n0;1 V;250 mm\n1;2 V;500 mm\n")
+    signals = {"inputs": [Variable("u", unit="V")], "outputs": [Variable("y", unit="m")]}
+    assert Recording.read_csv(path, sampling_time=1.0, **signals).y.ravel() == pytest.approx([0.25, 0.5])
+    with pytest.raises(DataError, match=r'column "y".*mm'):
+        Recording.read_csv(path, sampling_time=1.0, inputs=["u"], outputs=[Variable("y", unit="V")])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# time x\n0 1.5\n1 2.5\n",
+        "logger TX-4\n\n  time [s]   x\n  0,0   1,5\n  1,0   2,5\n",
+        "time\t\tx\n0\t\t1.5\n1.0\t2.5\n",
+        "time x [mm]\n2026-03-02 08:00:00 1.5\n2026-03-02 08:00:01 2.5\n",
+    ],
+)
+def test_aligned_columns(tmp_path: Path, text: str) -> None:
+    log = log_of(tmp_path, text)
+    assert log.names == ("x",)
+    assert log.time.tolist() == [0.0, 1.0]
+    assert column(log.values) == [1.5, 2.5]
+
+
+def test_a_cell_that_is_missing_of_aligned_columns_is_refused(tmp_path: Path) -> None:
+    rows = "2026-03-02 08:00:00 1 2\n2026-03-02 08:00:01 1\n"
+    with pytest.raises(
+        DataError, match=r"line 3: 2 cells, and 3 columns .*export it with semicolons"
+    ) as raised:
+        log_of(tmp_path, f"time x y\n{rows}")
+    assert len(raised.value.faults) == 1
+
+
+_SCOPE = "Name,s\nFile,s.csv\nStarttime of export,132959733843760000,Monday,15:56:24.376\n\n"
+
+
+def test_full_time_stamps_of_scope(tmp_path: Path) -> None:
+    rows = "".join(f"{132959733843760000 + 10_000_000 * i},{i}.5\n" for i in range(3))
+    log = log_of(tmp_path, f"{_SCOPE}Name,pump\nSampleTime[ms],1000\n\n{rows}")
+    assert log.begin == datetime(2022, 5, 2, 13, 56, 24, 376000)
+    assert log.time == pytest.approx([0.0, 1.0, 2.0], abs=1e-5)
+    assert column(log.values) == [0.5, 1.5, 2.5]
+
+
+@pytest.mark.parametrize("mark", [" ", ":"])
+def test_an_export_of_scope_with_a_separator_that_names_have_is_refused(tmp_path: Path, mark: str) -> None:
+    text = f"{_SCOPE}Name,my pump\nSampleTime[ms],1\n\n0,1\n1,2\n".replace(",", mark)
+    with pytest.raises(DataError, match="export it with tabs or semicolons between its columns"):
+        log_of(tmp_path, text)
+
+
+def test_a_channel_of_scope_without_its_time_and_one_with_a_time_twice(tmp_path: Path) -> None:
+    rows = "0,1,0,1\n1,2,,2\n2,3,2,3\n2,4,3,4\n"
+    text = f"{_SCOPE}Name,pump,Name,level\nSampleTime[ms],1,SampleTime[ms],1\n\n{rows}"
+    with pytest.raises(DataError) as raised:
+        log_of(tmp_path, text)
+    path = tmp_path / "log.csv"
+    assert f'{path}, line 10, column "pump": it has the time of another' in raised.value.faults[0]
+    assert f'{path}, line 9, column "level": no time stands before it' in raised.value.faults[1]
 
 
 def written(folder: Path, text: str | bytes, name: str = "log.csv") -> Path:
@@ -300,6 +392,11 @@ def test_a_part_of_the_samples_is_taken_after_all_else_is_done(tmp_path: Path) -
     assert [half.seams for half in halves] == [(), (1,)]
     words = [treatment.words for treatment in halves[0].treatments]
     assert "5 samples outside the part left out" in words
+
+
+def test_a_part_without_samples_is_refused_by_its_name(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"part = \[0.0, 0.1\] holds none of the 3 samples; write one that"):
+        log_of(tmp_path, "time;x\n0;1\n1;2\n2;3\n", part=[0.0, 0.1])
 
 
 @settings(deadline=None, max_examples=20)

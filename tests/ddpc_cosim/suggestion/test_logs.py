@@ -36,6 +36,11 @@ def test_a_messy_log_is_mended_and_the_study_says_how(log: Path) -> None:
         assert (section.gaps, section.duplicates) == ("split", "first")
     assert (identified.part, recording.part) == ([0.5, 1.0], [0.0, 0.5])
     assert any("duplicate row dropped" in said for said in proposal.comments["plant"])
+    about, meaning, *_ = proposal.comments["head"]
+    assert about.startswith(
+        "What the log says of the plant: Good enough for predictive control with a horizon"
+    )
+    assert "does not say that a controller settles. If none does below, look at setpoints" in meaning
     assert {*proposal.origins.values()} == {"the log's range"}
 
 
@@ -79,3 +84,19 @@ def test_columns_that_are_not_there_are_told_together(log: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         suggest_study(log, inputs=["pump C"], outputs=["level_4"])
     assert ["no such column" in fault for fault in caught.value.faults] == [True, True]
+
+
+@pytest.mark.slow
+def test_a_log_that_says_too_little_is_the_likely_cause_where_no_controller_settles(tmp_path: Path) -> None:
+    """Noise that is larger than what the input does to the output."""
+    rng = np.random.default_rng(3)
+    u = rng.choice([-1.0, 1.0], 300).cumsum() % 5.0
+    y = np.zeros(300)
+    for k in range(299):
+        y[k + 1] = 0.8 * y[k] + 0.05 * u[k]
+    rows = np.column_stack([np.arange(300.0), u, y + rng.normal(0.0, 2.0, 300)])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, rows, delimiter=";", header="time;u;y", comments="", fmt="%.6g")
+    about, meaning, *_ = suggest_study(path, inputs=["u"], outputs=["y"], trial=False).comments["head"]
+    assert about.startswith("What the log says of the plant: Not good enough for predictive control: ")
+    assert meaning.startswith("If no controller settles below, that is the likely cause")
