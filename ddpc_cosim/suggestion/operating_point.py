@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from math import isclose
 
 import numpy as np
 
@@ -52,6 +53,7 @@ _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
 _FOR_REACH = 0.2  # of the time for a step test
 _TRUSTED = 0.5  # of what a step has moved an output by
+_SAME = 1e-6  # of a step: how far off what only tells an override is
 _AT_AN_END = {ResponseType.SETTLED, ResponseType.INSENSITIVE}
 
 
@@ -435,8 +437,11 @@ def _chosen(
     What is spent, and what only tells what an override is, has no setpoint as long as another output can be
     controlled.
     """
-    inputs, echoes = plant.inputs, {applied_output(name) for name in switches_of(plant.description)}
-    meters = [j for j, output in enumerate(plant.outputs) if is_meter(output) or output.name in echoes]
+    inputs, outputs, overridden = plant.inputs, plant.outputs, switches_of(plant.description)
+    overrides = [i for i, variable in enumerate(inputs) if variable.name in overridden]
+    echoes = {applied_output(name) for name in overridden}
+    echoes |= {output.name for j, output in enumerate(outputs) if _is_echo(tested, j, overrides)}
+    meters = [j for j, output in enumerate(outputs) if is_meter(output) or output.name in echoes]
     suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
     handles = [i for i in range(len(inputs)) if i not in suspects]
     alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
@@ -460,6 +465,16 @@ def _remark_on_suspects(driven: Sequence[str], roles: Roles, what: str) -> tuple
     whys = ", ".join(f"{name} ({roles.disturbances[name]})" for name in driven)
     said = f"Driven though it may be a disturbance, as nothing else moves {what}: {whys}"
     return (said,) if driven else ()
+
+
+def _is_echo(tested: StepTest, output: int, overrides: Sequence[int]) -> bool:
+    """Whether an output has at once what an override has, and answers to nothing else."""
+    row = tested.responses[output]
+    moving = [i for i, response in enumerate(row) if response.type is not ResponseType.INSENSITIVE]
+    if len(moving) != 1 or moving[0] not in overrides:
+        return False
+    response, step = row[moving[0]], float(tested.steps[moving[0]])
+    return tested.is_immediate(response) and isclose(response.effect, step, rel_tol=_SAME)
 
 
 def _moves_alone(tested: StepTest, suspect: int, handles: Sequence[int]) -> bool:
