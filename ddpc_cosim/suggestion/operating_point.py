@@ -105,12 +105,12 @@ class TriedPoint:
 
     @property
     def authority(self) -> float:
-        """How far the inputs move the output over which they have least, in parts of what it drifts by."""
-        drifts = design.drifting(self.tested)
+        """How far the inputs move the output over which they have least, in parts of its own motion."""
+        moving = design.unsteady(self.tested)
         shares = (
             self.tested.authority(j, self.choice.inputs, self.room) / self.tested.drift(j)
             for j in self.choice.outputs
-            if drifts[j]
+            if moving[j]
         )
         return min([*shares, 1.0])
 

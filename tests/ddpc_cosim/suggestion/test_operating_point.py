@@ -1,5 +1,6 @@
 """A plant is tried where it can run: not at 0 K, nor where products vanish."""
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -179,6 +180,23 @@ def test_a_guess_is_widened_where_the_plant_moves_further_by_itself(
     study, text = study_of(build_fmu(brake), tmp_path)
     assert study["bounds"]["u"]["max"] == highest
     assert ("the inputs do too little: tried u -11:11" in text) == (highest > 1.0)
+
+
+def test_a_guess_is_widened_where_days_move_a_room_further(own_cache_folder: None, tmp_path: Path) -> None:
+    """room' = (outdoors + q / 100 - room) / 3 h: outdoors swings by 8 K a day, q declares nothing."""
+    from sympy import sin
+
+    room = Variable("TRoom", "K", start=293.15)
+    day = 2 * math.pi / 86400.0
+    hut = model(
+        "shelter",
+        room,
+        (Variable("QHeat", "W"),),
+        lambda v: (293.15 + 8 * sin(day * v.time) + v.QHeat / 100 - v.TRoom) / 10_800,
+    )
+    study, text = study_of(build_fmu(hut), tmp_path)
+    assert study["bounds"]["QHeat"]["max"] >= 1000.0
+    assert "the inputs do too little: tried QHeat" in text
 
 
 def test_where_every_response_returns_no_setpoint_is_proposed(own_cache_folder: None, tmp_path: Path) -> None:
