@@ -107,6 +107,12 @@ class Building:
         }
 
     @property
+    def temperatures(self) -> list[str]:
+        """Outputs that key figures name as temperatures of zones, whether or not there is a band for them."""
+        outputs = self.description.outputs
+        return [output for _, output in self._sources(*TEMPERATURES) if output in outputs]
+
+    @property
     def signals(self) -> dict[str, Variable]:
         """Inputs and outputs by name."""
         return {**self.description.inputs, **self.description.outputs}

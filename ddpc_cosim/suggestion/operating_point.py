@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from math import isclose
 
 import numpy as np
 
@@ -53,7 +52,6 @@ _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
 _FOR_REACH = 0.2  # of the time for a step test
 _TRUSTED = 0.5  # of what a step has moved an output by
-_SAME = 1e-6  # of a step: how far off what only tells an override is
 _AT_AN_END = {ResponseType.SETTLED, ResponseType.INSENSITIVE}
 
 
@@ -435,7 +433,7 @@ def _chosen(
     """Return the choice among inputs that are not suspects, or moves an output that nothing else moves.
 
     What is spent, and what only tells what an override is, has no setpoint as long as another output can be
-    controlled.
+    controlled, or may show only later that it can.
     """
     inputs, outputs, overridden = plant.inputs, plant.outputs, switches_of(plant.description)
     overrides = [i for i, variable in enumerate(inputs) if variable.name in overridden]
@@ -453,7 +451,8 @@ def _chosen(
         tuple(Response(ResponseType.INSENSITIVE) for _ in row) if j in meters else row
         for j, row in enumerate(responses)
     )
-    for shown in (responses,) if all_outputs else (unmetered, responses):
+    unseen = tested.stopped and _reads_something(outputs)  # what is read may answer later than meters
+    for shown in (responses,) if all_outputs else (unmetered,) if unseen else (unmetered, responses):
         choice = choose(replace(tested, responses=shown), less_room, timing.guess, all_outputs=all_outputs)
         if choice.inputs:
             break
@@ -468,13 +467,10 @@ def _remark_on_suspects(driven: Sequence[str], roles: Roles, what: str) -> tuple
 
 
 def _is_echo(tested: StepTest, output: int, overrides: Sequence[int]) -> bool:
-    """Whether an output has at once what an override has, and answers to nothing else."""
+    """Whether an output follows an override at once and answers to nothing else: a command, or its power."""
     row = tested.responses[output]
     moving = [i for i, response in enumerate(row) if response.type is not ResponseType.INSENSITIVE]
-    if len(moving) != 1 or moving[0] not in overrides:
-        return False
-    response, step = row[moving[0]], float(tested.steps[moving[0]])
-    return tested.is_immediate(response) and isclose(response.effect, step, rel_tol=_SAME)
+    return len(moving) == 1 and moving[0] in overrides and tested.is_immediate(row[moving[0]])
 
 
 def _moves_alone(tested: StepTest, suspect: int, handles: Sequence[int]) -> bool:
