@@ -159,7 +159,7 @@ def find(
     resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
     switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
     applied = [output for name in switches if description.signal(output := applied_output(name)) is not None]
-    embedded = embedded_control(open_plant, switches, parameters, timing, applied)
+    embedded = embedded_control(open_plant, switches, parameters, timing, applied).within(every)
     usual = usual_levels(every, {**given, **embedded.levels}, request.ranges)
     remarks = [*remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
     start = {**usual, **embedded.levels, **given}

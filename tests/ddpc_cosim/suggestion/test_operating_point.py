@@ -6,12 +6,14 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fmus.builder import CO_SIMULATION, V, describe, model_library, write_fmu
 
 from ddpc_cosim import CosimError
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.design import input_bounds
+from ddpc_cosim.suggestion.embedded import Embedded
 from ddpc_cosim.variables import Variable as InputVariable
 from fmu_plants import Equations, PlantModel, Variable, build_fmu
 
@@ -109,6 +111,13 @@ def test_where_a_product_vanishes_the_plant_is_tried_elsewhere(
     assert max(study["reference"]["flow"]["values"]) > 0.25  # where it rests: 0.5 * 0.5
     given, _ = study_of(build_fmu(duct), tmp_path / "given", at={"fan": 0.8})
     assert given["plant"]["start"] == {"fan": 0.8}
+
+
+def test_a_mean_of_what_is_at_a_limit_is_at_that_limit() -> None:
+    setpoint = InputVariable("oveMax_u", "K", min=288.15, max=303.15)
+    level = float(np.mean([303.15] * 100))
+    assert level > setpoint.max
+    assert Embedded(levels={"oveMax_u": level}).within([setpoint]).levels == {"oveMax_u": 303.15}
 
 
 def test_a_range_that_was_guessed_too_small_is_widened(own_cache_folder: None, tmp_path: Path) -> None:
