@@ -239,7 +239,8 @@ def _held(
         held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles, try_reach)
     except CosimError:  # it does not run there
         return point
-    if len(held.lively) < len(point.lively):
+    less_seen = held.tested.stopped and held.tested.time[-1] < point.tested.time[-1]
+    if less_seen or len(held.lively) < len(point.lively):
         return point
     return replace(held, remarks=(*_remarks_on_overrides(levels), *held.remarks))
 
