@@ -263,6 +263,7 @@ _SETPOINTS = vocabulary(
 _MEASURED = vocabulary("meas measured measurement mea feedback fb fbk pv actual sensor sensed ist ym um y m")
 _SHORT = 2  # words: a name that says little else
 _ERRORS = vocabulary("error err e deviation")
+_COOLING, _OF_WATER = vocabulary("cooling cool coo"), vocabulary("supply sup water chilled production pro")
 _COMMANDS = vocabulary(
     "u command cmd control ctrl controller actuator act manipulated mv output out drive uc con y"
 )
@@ -348,6 +349,12 @@ def is_meter(variable: Variable) -> bool:
     """Whether an output is called what is spent, as energy or cost; what is stored is none."""
     said = Wording(variable).all
     return bool(said & _METERED) and not said & _STORED
+
+
+def is_cooling_setpoint(variable: Variable) -> bool:
+    """Whether a signal is called what a room is cooled to, which is warmer than what it is heated to."""
+    wording = Wording(variable)
+    return bool(setpoint(wording) and wording.all & _COOLING and not wording.all & _OF_WATER)
 
 
 def is_called_temperature(variable: Variable) -> bool:

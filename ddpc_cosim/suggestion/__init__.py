@@ -150,12 +150,13 @@ def suggest_study(
     deadline = monotonic() + budget
     tell(f"reading {label}")
     title = joined.title if joined else path.stem
-    steps, building = None, None
+    steps, building, zones = None, None, list[str]()
     if system:
         description = system.description
     else:
         description, steps, title, resources = _runnable(path, libraries)
         building = Building.of(resources, description)
+        zones = list(building.zones) if building else Building(resources, description).temperatures
     levels, spans, faults = with_own_units(description, operating_point(at or {}), ranges or {})
     request = Request(levels, spans, sampling_time, duration, inputs, outputs)
     request.check(description, label, steps, faults)
@@ -164,8 +165,8 @@ def suggest_study(
     roles = system.roles if isinstance(system, LoggedSystem) else _roles(description, request)
     driven, drives_too = _candidates(description, label, request, "input", roles)
     read, reads_too = _candidates(description, label, request, "output", roles)
-    if building and outputs is None:
-        read, reads_too = list(building.zones), []
+    if zones and outputs is None:
+        read, reads_too = zones, []
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
     timing = replace(_timing(description, request), budget=share * budget)
     if building:
@@ -195,6 +196,7 @@ def suggest_study(
         # The others are named neither here nor elsewhere, as nothing is written.
         tried = listed([*steps_tried, *drives_too], len(steps_tried), "inputs")
         early = f"; a run ended early: {point.tested.fault}" if point.tested.fault else ""
+        early += "; raise --budget" if point.tested.stopped else ""
         looks = "".join(f". {said}" for said in controller_words(title, (), (), point.tested))
         raise CosimError(
             f"{label}: no output responds to a step of an input (tried: {tried}); --range tries more, "

@@ -57,7 +57,7 @@ _OFF = 0.005  # of a band's width: what prices may draw an output beyond it
 _MARGIN = 0.1  # of a band's width: how far within it those stay that know no bands
 _OUTPUT_WEIGHT, _INPUT_WEIGHT = 10.0, 1e-3
 _ELECTRIC = "ElectricPower"
-_USUAL_POWER = 20.0  # W/m2
+_USUAL_POWER, _USUAL_AREA = 20.0, 150.0  # W/m2, m2
 _KINDS = re.compile(r"[A-Z][a-z]*")
 _PLANT = "plant"
 _TRIED = 2 * _DAY
@@ -105,6 +105,12 @@ class Building:
             if output in self.description.outputs
             and (edges := self._columns_of_zone(zone, "LowerSetp", "UpperSetp"))
         }
+
+    @property
+    def temperatures(self) -> list[str]:
+        """Outputs that key figures name as temperatures of zones, whether or not there is a band for them."""
+        outputs = self.description.outputs
+        return [output for _, output in self._sources(*TEMPERATURES) if output in outputs]
 
     @property
     def signals(self) -> dict[str, Variable]:
@@ -229,9 +235,18 @@ class Building:
                     kinds.setdefault(kind, {})[name] = self.signal(column, Variable("", unit))
         return prices, kinds
 
-    def power(self, variable: Variable) -> float:
-        """Return about how large a power is: its nominal value, else what goes by the floor area [W]."""
-        return variable.nominal if variable.nominal != 1.0 else _USUAL_POWER * (self.resources.area or 1.0)
+    def power(self, variable: Variable, driven: Sequence[Variable]) -> float:
+        """Return about how large a power is [W].
+
+        Its nominal value, else what goes by the floor area; where that is not known, what a driven input in
+        watts can give, or what goes by that of a usual house.
+        """
+        if variable.nominal != 1.0:
+            return variable.nominal
+        if self.resources.area is not None:
+            return _USUAL_POWER * self.resources.area
+        given = [v.max - v.min for v in driven if v.unit == "W" and math.isfinite(v.max - v.min)]
+        return max(given, default=_USUAL_POWER * _USUAL_AREA)
 
     def _price_columns(self, source: str) -> list[str]:
         """Return the columns of prices of a source, the constant one first."""
@@ -348,7 +363,7 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
         plant=replace(
             study.plant,
             measurements=measured,
-            nominal={**study.plant.nominal, **_of_powers(building, prices)},
+            nominal={**study.plant.nominal, **_of_powers(building, prices, proposal.inputs)},
         ),
         loop=replace(
             loop,
@@ -373,12 +388,16 @@ def in_use(proposal: Proposal, building: Building, request: Request, settling_ti
     )
 
 
-def _of_powers(building: Building, prices: Mapping[str, Price]) -> dict[str, float]:
+def _of_powers(
+    building: Building, prices: Mapping[str, Price], driven: Sequence[Variable]
+) -> dict[str, float]:
     """Return about how large the powers are that declare no nominal value."""
     paid = {price.signal: building.signals[price.signal] for price in prices.values()}
     outputs = building.description.outputs
     return {
-        name: clean(building.power(v)) for name, v in paid.items() if name in outputs and v.nominal == 1.0
+        name: clean(building.power(v, driven))
+        for name, v in paid.items()
+        if name in outputs and v.nominal == 1.0
     }
 
 
@@ -474,7 +493,7 @@ def _price_weight(
     for price in prices.values():
         paid = building.signals[price.signal]
         rate = price.charge(price.signal, paid).rate
-        power = max(power, _mean(building, price.price) * rate * building.power(paid) * h)
+        power = max(power, _mean(building, price.price) * rate * building.power(paid, proposal.inputs) * h)
     return float(f"{worth / power:.2g}") if worth > 0.0 and power > 0.0 else 0.0
 
 

@@ -1,7 +1,8 @@
 """Where overrides rest that start at 0: where the plant's own control holds what they override."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class Embedded:
     overrides: tuple[str, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
     held: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def within(self, inputs: Iterable[Variable]) -> Self:
+        """Return it with levels that inputs may have: a mean of what is at a limit may be just beyond."""
+        limits = {variable.name: (variable.min, variable.max) for variable in inputs}
+        levels = {name: float(np.clip(level, *limits[name])) for name, level in self.levels.items()}
+        return replace(self, levels=levels)
 
     def holding(
         self,

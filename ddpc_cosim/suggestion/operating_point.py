@@ -103,12 +103,12 @@ class TriedPoint:
 
     @property
     def authority(self) -> float:
-        """How far the inputs move the output over which they have least, in parts of what it drifts by."""
-        drifts = design.drifting(self.tested)
+        """How far the inputs move the output over which they have least, in parts of its own motion."""
+        moving = design.unsteady(self.tested)
         shares = (
             self.tested.authority(j, self.choice.inputs, self.room) / self.tested.drift(j)
             for j in self.choice.outputs
-            if drifts[j]
+            if moving[j]
         )
         return min([*shares, 1.0])
 
@@ -159,7 +159,7 @@ def find(
     resting_at_0 = {v.name for v in every if v.start == 0.0}.difference(given).intersection(roles.driven)
     switches = {name: switch for name, switch in switches_of(description).items() if name in resting_at_0}
     applied = [output for name in switches if description.signal(output := applied_output(name)) is not None]
-    embedded = embedded_control(open_plant, switches, parameters, timing, applied)
+    embedded = embedded_control(open_plant, switches, parameters, timing, applied).within(every)
     usual = usual_levels(every, {**given, **embedded.levels}, request.ranges)
     remarks = [*remarks_on(usual, every), *_remarks_on_overrides(embedded.levels)]
     start = {**usual, **embedded.levels, **given}
@@ -239,7 +239,8 @@ def _held(
         held = _at(open_plant, start, point.bounds, parameters, point.request, timing, roles, try_reach)
     except CosimError:  # it does not run there
         return point
-    if len(held.lively) < len(point.lively):
+    less_seen = held.tested.stopped and held.tested.time[-1] < point.tested.time[-1]
+    if less_seen or len(held.lively) < len(point.lively):
         return point
     return replace(held, remarks=(*_remarks_on_overrides(levels), *held.remarks))
 
@@ -433,10 +434,13 @@ def _chosen(
     """Return the choice among inputs that are not suspects, or moves an output that nothing else moves.
 
     What is spent, and what only tells what an override is, has no setpoint as long as another output can be
-    controlled.
+    controlled, or may show only later that it can.
     """
-    inputs, echoes = plant.inputs, {applied_output(name) for name in switches_of(plant.description)}
-    meters = [j for j, output in enumerate(plant.outputs) if is_meter(output) or output.name in echoes]
+    inputs, outputs, overridden = plant.inputs, plant.outputs, switches_of(plant.description)
+    overrides = [i for i, variable in enumerate(inputs) if variable.name in overridden]
+    echoes = {applied_output(name) for name in overridden}
+    echoes |= {output.name for j, output in enumerate(outputs) if _is_echo(tested, j, overrides)}
+    meters = [j for j, output in enumerate(outputs) if is_meter(output) or output.name in echoes]
     suspects = [i for i, variable in enumerate(inputs) if variable.name in roles.disturbances]
     handles = [i for i in range(len(inputs)) if i not in suspects]
     alone = [i for i in suspects if inputs[i].name in roles.doubtful and _moves_alone(tested, i, handles)]
@@ -448,7 +452,8 @@ def _chosen(
         tuple(Response(ResponseType.INSENSITIVE) for _ in row) if j in meters else row
         for j, row in enumerate(responses)
     )
-    for shown in (responses,) if all_outputs else (unmetered, responses):
+    unseen = tested.stopped and _reads_something(outputs)  # what is read may answer later than meters
+    for shown in (responses,) if all_outputs else (unmetered,) if unseen else (unmetered, responses):
         choice = choose(replace(tested, responses=shown), less_room, timing.guess, all_outputs=all_outputs)
         if choice.inputs:
             break
@@ -460,6 +465,13 @@ def _remark_on_suspects(driven: Sequence[str], roles: Roles, what: str) -> tuple
     whys = ", ".join(f"{name} ({roles.disturbances[name]})" for name in driven)
     said = f"Driven though it may be a disturbance, as nothing else moves {what}: {whys}"
     return (said,) if driven else ()
+
+
+def _is_echo(tested: StepTest, output: int, overrides: Sequence[int]) -> bool:
+    """Whether an output follows an override at once and answers to nothing else: a command, or its power."""
+    row = tested.responses[output]
+    moving = [i for i, response in enumerate(row) if response.type is not ResponseType.INSENSITIVE]
+    return len(moving) == 1 and moving[0] in overrides and tested.is_immediate(row[moving[0]])
 
 
 def _moves_alone(tested: StepTest, suspect: int, handles: Sequence[int]) -> bool:

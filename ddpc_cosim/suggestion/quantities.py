@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ddpc_cosim.inspection.words import unit_of
+from ddpc_cosim.inspection.words import is_cooling_setpoint, unit_of
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.units import DisplayUnit, display_unit, parse_unit
 
 _KELVIN = {"degK", "deg K", "kelvin", "Kelvin", "KELVIN"}
 _CELSIUS = {"deg C", "degree C", "celsius", "Celsius", "degCelsius", "oC"}
 _USUAL = {"K": 293.15, "Pa": 101325.0}
+_COOLED_TO = 297.15  # K: at the setpoint of heating both would work against each other
 _OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge|error|deviation).*")
 _SAID_OF_DIFFERENCES = re.compile(
     r"\b(difference|deviation|error|relative|gauge|drop|rise|increase|change|offset|correction|lift)\b", re.I
@@ -203,6 +204,8 @@ def usual_levels(
                 continue
             if abs(float(shown.to_unit(variable.start))) > _NEGLIGIBLE:
                 continue
+            if unit == "K" and is_cooling_setpoint(variable):
+                usual = _COOLED_TO
             known = variable.nominal not in (0.0, 1.0) and math.isfinite(variable.nominal)
             level = variable.nominal if known else shown.factor * usual + shown.offset
             low, high = ranges.get(variable.name, (variable.min, variable.max))

@@ -208,19 +208,13 @@ def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
 def _function(model: PlantModel, name: str, results: Mapping[str, sympy.Expr]) -> str:
     """Return a function that evaluates the expressions, by what they are, common subexpressions once."""
     printer = _CPrinter(_element_names(model))
-    for what, expression in results.items():
-        try:
-            printer.c_text(expression)
-        except _UnavailableError as error:
-            raise ModelError(
-                f"model {model.name!r}: {what} uses the function {error}, which FMUs do not have on every "
-                f"platform: {expression}\n"
-                f"Write it in terms of these C functions: {', '.join(sorted(callable_functions()))}"
-            ) from error
     # A variable may be called t0, too: variables are printed as elements of arrays, never by name.
     common, reduced = sympy.cse(list(results.values()), symbols=sympy.numbered_symbols("t"), list=True)
-    lines = [f"    const double {symbol} = {printer.c_text(part)};" for symbol, part in common]
-    lines += [f"    result[{index}] = {printer.c_text(part)};" for index, part in enumerate(reduced)]
+    try:
+        lines = [f"    const double {symbol} = {printer.c_text(part)};" for symbol, part in common]
+        lines += [f"    result[{index}] = {printer.c_text(part)};" for index, part in enumerate(reduced)]
+    except _UnavailableError:
+        raise _unavailable(model, results, printer) from None
     body = "\n".join(lines)
     arrays = _arrays(model)
     arguments = (TIME, *arrays, "result")
@@ -228,3 +222,17 @@ def _function(model: PlantModel, name: str, results: Mapping[str, sympy.Expr]) -
     given = ", ".join(f"const double {array}[]" for array in arrays)
     signature = f"double time, {given}, double result[]"
     return "\n".join([f"static void {name}({signature})", "{", *unused, *lines, "}"])
+
+
+def _unavailable(model: PlantModel, results: Mapping[str, sympy.Expr], printer: _CPrinter) -> ModelError:
+    """Return the error that names the first result with a function that FMUs do not have."""
+    for what, expression in results.items():
+        try:
+            printer.c_text(expression)
+        except _UnavailableError as error:
+            return ModelError(
+                f"model {model.name!r}: {what} uses the function {error}, which FMUs do not have on every "
+                f"platform: {expression}\n"
+                f"Write it in terms of these C functions: {', '.join(sorted(callable_functions()))}"
+            )
+    raise AssertionError("what is written once is written in full, too")

@@ -145,6 +145,24 @@ def test_the_step_is_that_of_the_author_unless_the_plant_is_far_faster(
     assert bool(said) == (expected != 3600.0)
 
 
+def test_without_a_band_the_zones_that_key_figures_name_are_controlled(tmp_path: Path) -> None:
+    key_figures = files_of_a_house()["kpis.json"].replace("indoor_temperature", "heater_temperature")
+    study = suggest_study(
+        with_resources(build_fmu(MODEL), tmp_path, {"kpis.json": key_figures}), trial=False
+    ).study
+    assert study.plant.outputs == ["heater_temperature"]
+
+
+def test_how_large_a_power_is_comes_from_what_is_known() -> None:
+    heater, valve = Variable("heater", "W", min=0.0, max=10_000.0), Variable("valve", "1", min=0.0, max=1.0)
+    paid, rated = Variable("power", "W"), Variable("power", "W", nominal=4000.0)
+    known, unknown = (Building(Resources(area=area), describe((), (paid,))) for area in (48.0, None))
+    assert known.power(paid, (heater,)) == 20.0 * 48.0
+    assert known.power(rated, (heater,)) == 4000.0
+    assert unknown.power(paid, (heater, valve)) == 10_000.0
+    assert unknown.power(paid, (valve,)) == 3000.0  # and not what one square metre takes
+
+
 def test_without_a_floor_area_no_key_figures_are_proposed() -> None:
     sources = {"AirZoneTemperature[1]": ("TZon",)}
     for area, are_proposed in ((None, False), (48.0, True)):

@@ -295,7 +295,12 @@ def test_an_override_rests_where_the_plants_own_control_holds_it(
     assert "oveHea_u starts at 0 and rests at" in text
 
 
-def test_what_tells_an_override_is_not_controlled(own_cache_folder: None, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("setpoint", "power", "share"), [("oveSet_y", "oveAct_y", 1.0), ("reaTSet_y", "reaHea_y", 0.99)]
+)
+def test_what_tells_an_override_is_not_controlled(
+    own_cache_folder: None, tmp_path: Path, setpoint: str, power: str, share: float
+) -> None:
     """Of setpoint and power of a room's own control the room is controlled, by what moves it alone."""
     room = Variable("TZone_y", "K", start=294.15)
 
@@ -304,7 +309,7 @@ def test_what_tells_an_override_is_not_controlled(own_cache_folder: None, tmp_pa
         embedded = 4000 + 1000 * (wanted - v.TZone_y)
         heat = v.oveAct_activate * v.oveAct_u + (1 - v.oveAct_activate) * embedded
         rates = {"TZone_y": (278.15 - v.TZone_y) / 600 + heat / 1.5e5}
-        return Equations(rates, {"oveSet_y": wanted, "oveAct_y": heat})
+        return Equations(rates, {setpoint: wanted, power: heat / share})
 
     described = "Activation for its override"
     plant = PlantModel(
@@ -317,7 +322,7 @@ def test_what_tells_an_override_is_not_controlled(own_cache_folder: None, tmp_pa
             Variable("oveSet_u", "K", min=278.15, max=308.15, start=294.15),
             Variable("oveSet_activate", "1", min=0.0, max=1.0, description=described),
         ),
-        outputs=(Variable("oveAct_y", "W"), Variable("oveSet_y", "K"), room),
+        outputs=(Variable(power, "W"), Variable(setpoint, "K"), room),
         stop_time=6000.0,
     )
     study, _ = study_of(plant, tmp_path)

@@ -2,8 +2,10 @@
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,13 +13,16 @@ from click.testing import CliRunner, Result
 
 from ddpc_cosim import ConfigError, CosimError, FMUImportError, Outcome, load_results
 from ddpc_cosim.cli.main import main
+from ddpc_cosim.description import describe
+from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import check_identified, suggest_study, write_study
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Range, setpoints
-from ddpc_cosim.suggestion.operating_point import TriedPoint
+from ddpc_cosim.suggestion.operating_point import TriedPoint, _chosen
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
+from ddpc_cosim.suggestion.roles import Roles
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.writing import study_text
 from ddpc_cosim.variables import Variable, names
@@ -224,6 +229,21 @@ def test_an_output_of_which_nothing_lasts_can_be_asked_for(model_fmu) -> None:
     text = study_text(proposal, "plant.fmu")
     assert not re.search(r"\b(nan|inf)\b", "\n".join(line for line in text.splitlines() if line[:1] != "#"))
     assert 0.0 < proposal.study.plant.nominal["rate"] < np.inf
+
+
+def test_a_meter_that_answers_before_the_room_is_no_setpoint_where_time_was_over() -> None:
+    """Of what is read, one does not know in that case."""
+    still, moved = Response(ResponseType.INSENSITIVE), Response(ResponseType.SETTLED, 1.0, peak=1.0)
+    inputs, outputs = (Variable("u"),), (Variable("TRoom", "K"), Variable("energy", "J"))
+    plant = cast(
+        FMUPlant, SimpleNamespace(inputs=inputs, outputs=outputs, description=describe(inputs, outputs))
+    )
+    tested = StepTest(np.arange(24.0), np.zeros((24, 2)), np.ones(1), ((still,), (moved,)))
+    rest = (np.ones(1), Timing(1e-4, longest=1.0), Request(), Roles(("u",)))
+    chosen, _ = _chosen(plant, tested, *rest)
+    assert chosen.outputs == (1,)
+    chosen, _ = _chosen(plant, replace(tested, stopped=True), *rest)
+    assert chosen.outputs == ()
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,19 @@
 """A plant is tried where it can run: not at 0 K, nor where products vanish."""
 
+import math
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fmus.builder import CO_SIMULATION, V, describe, model_library, write_fmu
 
 from ddpc_cosim import CosimError
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.design import input_bounds
+from ddpc_cosim.suggestion.embedded import Embedded
 from ddpc_cosim.variables import Variable as InputVariable
 from fmu_plants import Equations, PlantModel, Variable, build_fmu
 
@@ -110,6 +113,13 @@ def test_where_a_product_vanishes_the_plant_is_tried_elsewhere(
     assert given["plant"]["start"] == {"fan": 0.8}
 
 
+def test_a_mean_of_what_is_at_a_limit_is_at_that_limit() -> None:
+    setpoint = InputVariable("oveMax_u", "K", min=288.15, max=303.15)
+    level = float(np.mean([303.15] * 100))
+    assert level > setpoint.max
+    assert Embedded(levels={"oveMax_u": level}).within([setpoint]).levels == {"oveMax_u": 303.15}
+
+
 def test_a_range_that_was_guessed_too_small_is_widened(own_cache_folder: None, tmp_path: Path) -> None:
     """flow' = max(signal - 40, 0) - flow, of an input that declares nothing: +-1 is the first guess."""
     from sympy import Max
@@ -179,6 +189,23 @@ def test_a_guess_is_widened_where_the_plant_moves_further_by_itself(
     study, text = study_of(build_fmu(brake), tmp_path)
     assert study["bounds"]["u"]["max"] == highest
     assert ("the inputs do too little: tried u -11:11" in text) == (highest > 1.0)
+
+
+def test_a_guess_is_widened_where_days_move_a_room_further(own_cache_folder: None, tmp_path: Path) -> None:
+    """room' = (outdoors + q / 100 - room) / 3 h: outdoors swings by 8 K a day, q declares nothing."""
+    from sympy import sin
+
+    room = Variable("TRoom", "K", start=293.15)
+    day = 2 * math.pi / 86400.0
+    hut = model(
+        "shelter",
+        room,
+        (Variable("QHeat", "W"),),
+        lambda v: (293.15 + 8 * sin(day * v.time) + v.QHeat / 100 - v.TRoom) / 10_800,
+    )
+    study, text = study_of(build_fmu(hut), tmp_path)
+    assert study["bounds"]["QHeat"]["max"] >= 1000.0
+    assert "the inputs do too little: tried QHeat" in text
 
 
 def test_where_every_response_returns_no_setpoint_is_proposed(own_cache_folder: None, tmp_path: Path) -> None:

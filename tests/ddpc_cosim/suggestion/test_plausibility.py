@@ -128,6 +128,9 @@ def test_temperatures_and_pressures_are_lifted_in_their_own_units() -> None:
         Variable("e", "degK"),
         Variable("f", "K", nominal=350.0),
         Variable("g", "K", max=280.0),
+        Variable("oveTSetRooHea_u", "K", description="Heating setpoint"),
+        Variable("oveTSetRooCoo_u", "degC", start=-273.15, description="Cooling setpoint"),
+        Variable("oveTSupCoo_u", "K", description="Cooling water supply temperature setpoint"),
     ]
     assert usual_levels(inputs, (), {}) == {
         "a": 293.15,
@@ -137,6 +140,9 @@ def test_temperatures_and_pressures_are_lifted_in_their_own_units() -> None:
         "e": 293.15,
         "f": 350.0,
         "g": 280.0,
+        "oveTSetRooHea_u": 293.15,
+        "oveTSetRooCoo_u": 24.0,
+        "oveTSupCoo_u": 293.15,
     }
 
 
