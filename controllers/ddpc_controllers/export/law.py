@@ -150,7 +150,7 @@ def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp
     rows /= size
     first, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
     # Products tell which pairs are worth looking at: those of unit rows that are opposite are -1.
-    products = np.triu(rows @ rows.T < _OPPOSITE - 1.0 + len(rows[0]) * np.finfo(float).eps, 1)
+    products = np.triu(rows @ rows.T < _OPPOSITE - 1.0 + rows.shape[1] * np.finfo(float).eps, 1)
     zero = ~rows.any(axis=1)
     products |= np.triu(np.outer(zero, zero), 1)
     for i, other in np.argwhere(products).tolist():
