@@ -101,6 +101,7 @@ from .signals.signals import (
 from .simulation import Simulation as Simulation, simulate as simulate
 from .study.case_files import CaseResult as CaseResult
 from .study.objects import Entry as Entry, Problem as Problem, Scenario as Scenario, Study as Study
+from .study.rare_events import RareEvent as RareEvent
 from .study.report_sections import (
     ReportBlock as ReportBlock,
     ReportSection as ReportSection,

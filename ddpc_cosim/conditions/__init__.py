@@ -374,6 +374,27 @@ class Actuators:
         return ActuatorTables(driven, others, self._changed, self._acting, self._added, self._own)
 
 
+@dataclass(frozen=True, slots=True)
+class MixedNormal:
+    """Standard normal numbers of several streams, each times a weight; the squares of these sum to 1.
+
+    Parameters
+    ----------
+    streams : sequence of (numpy.random.Generator, float)
+        The streams and their weights.
+    """
+
+    streams: Sequence[tuple[np.random.Generator, float]]
+
+    def draw(self, size: int | tuple[int, int]) -> FloatArray:
+        """Return the next so many numbers."""
+        (first, weight), *others = self.streams
+        drawn = weight * first.standard_normal(size)
+        for stream, its_weight in others:
+            drawn += its_weight * stream.standard_normal(size)
+        return drawn
+
+
 class Sensors:
     """What is added to the plant's outputs, and what becomes of them until a controller sees them.
 
@@ -389,7 +410,7 @@ class Sensors:
         Time between samples [s].
     seed : int
         Seed of random signals.
-    rng : numpy.random.Generator
+    normal : MixedNormal
         Draws the noise.
 
     Attributes
@@ -405,9 +426,9 @@ class Sensors:
         conditions: Conditions,
         sampling_time: float,
         seed: int,
-        rng: np.random.Generator,
+        normal: "MixedNormal",
     ) -> None:
-        self._conditions, self._seed, self._rng = conditions, seed, rng
+        self._conditions, self._seed, self._normal = conditions, seed, normal
         self._outputs, self._names = outputs, names(outputs)
         self._deviation, self._is_noisy = deviation, bool(deviation.any())
         self._effects = _effects("sensor", self._names, conditions, (sampling_time, seed))
@@ -438,7 +459,7 @@ class Sensors:
         if self._is_noisy:
             n = len(self._deviation)
             y = y.copy()
-            y[:n] += self._deviation * self._rng.standard_normal(n)
+            y[:n] += self._deviation * self._normal.draw(n)
         for effect in self._after_noise:
             y = effect.apply(k, y)
         if not self._loses:
@@ -451,7 +472,7 @@ class Sensors:
         """Return what :meth:`disturb` and :meth:`measure` go by at the next so many samples, noise drawn."""
         noise = None
         if self._is_noisy:
-            noise = self._deviation * self._rng.standard_normal((rows, len(self._deviation)))
+            noise = self._deviation * self._normal.draw((rows, len(self._deviation)))
         return SensorTables(
             self._added, self._before_noise, noise, self._after_noise, self._loses, self.holds
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.conditions import (
     Actuators,
     Conditions,
+    MixedNormal,
     Sensors,
     SensorTables,
     changed_inputs,
@@ -356,8 +357,11 @@ class LoopSetup:
         self._check_conditions(conditions)
         self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
         deviation = self._deviations(noise.standard_deviation if noise else {})
-        rng = self._stream(NOISE_STREAM)
-        self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, rng)
+        streams = noise.mixture if noise and noise.mixture else ((seed, 1.0),)
+        normal = MixedNormal(
+            [(np.random.default_rng([own, NOISE_STREAM]), weight) for own, weight in streams]
+        )
+        self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, normal)
 
     @property
     def communication_step(self) -> float:

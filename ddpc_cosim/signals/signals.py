@@ -751,9 +751,13 @@ class GaussianNoise:
     ----------
     standard_deviation : mapping of str to float
         For each noisy measurement by name, in its unit.
+    mixture : sequence of (int, float)
+        Seeds of streams in place of that of the loop's seed, each with its weight: their sum is as normal as
+        one of them where the squares of the weights sum to 1.
     """
 
     standard_deviation: Mapping[str, float]
+    mixture: Sequence[tuple[int, float]] = ()
 
     def __post_init__(self) -> None:
         faults = [

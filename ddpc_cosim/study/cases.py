@@ -84,6 +84,7 @@ _WHERE_SAID = (
     "resumed",
     "replayed",
     "spread",
+    "noise_mixture",
 )
 _NOTHING_SAID: tuple[Any, ...] = ({}, (), None)
 Bounded = dict[str, tuple[Limit, Limit]]
@@ -207,6 +208,8 @@ class Case:
         What computes its samples, which does not decide the result.
     spread : tuple of Variable
         The parameters that its seed has drawn.
+    noise_mixture : tuple of (int, float)
+        Seeds and weights that its noise is mixed of, in place of its seed: see :class:`GaussianNoise`.
     """
 
     controller: str
@@ -258,6 +261,7 @@ class Case:
     keeps_state: bool = False
     replayed: Replayed | None = None
     spread: tuple[Variable, ...] = ()
+    noise_mixture: tuple[tuple[int, float], ...] = ()
 
     @property
     def name(self) -> str:
@@ -747,7 +751,7 @@ def _close_the_loop(
         outputs=names(case.outputs),
         measurements=names(case.measurements),
         parameters=case.parameters,
-        noise=GaussianNoise(case.noise) if case.noise else None,
+        noise=GaussianNoise(case.noise, case.noise_mixture) if case.noise else None,
         conditions=case.conditions,
         events=case.events,
         preview=case.preview,

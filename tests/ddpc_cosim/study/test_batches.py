@@ -162,6 +162,7 @@ def test_cases_of_a_batch_that_takes_too_long_are_run_by_themselves(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner._Batch, "is_late", True)
+    monkeypatch.setattr(runner, "_POLL_SECONDS", 0.0)
     results = run(study)
     assert len(results.cases) == 2 * SEEDS
     assert all(case.outcome == "completed" and not case.batched for case in results.cases)

@@ -328,6 +328,7 @@ OTHER: dict[str, Any] = {
     "resumed": Resumption(b"state", 0.0),
     "replayed": "a log and the case that its controller learns in",
     "spread": (Variable("mass"),),
+    "noise_mixture": ((1, 1.0),),
 }
 """Another value of every field of a case that decides its result."""
 
