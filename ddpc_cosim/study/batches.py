@@ -8,6 +8,7 @@ import gzip
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,11 @@ def read_batch(path: Path) -> list[dict[str, Any]]:
     content = path.read_bytes()
     if path.name != f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}":
         raise ValueError(f"{path.name} is not what was written: its checksum differs")
-    batch = parse_sealed(gzip.decompress(content), path.name)
+    with gzip.GzipFile(fileobj=BytesIO(content)) as file:
+        text = file.read(_LONGEST + 1)
+    if len(text) > _LONGEST:
+        raise ValueError(f"{path.name} has more than {_LONGEST} bytes")
+    batch = parse_sealed(text, path.name)
     return [batch[_COMMON] | run for run in batch[_RUNS]]
 
 

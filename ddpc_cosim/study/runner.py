@@ -384,11 +384,8 @@ def run_missing(
     how: dict[str, Any] = {"storage": selection.storage}
     if selection.engine:
         how["engine"] = selection.engine
-    for_batches, batched = (
-        _for_batches([replace(case, **how) for case in cases], selection),
-        Batched(cases_folder),
-    )
-
+    for_batches = _for_batches([replace(case, **how) for case in cases], selection)
+    batched = Batched(cases_folder)
     by_themselves = {path.name for path in cases_folder.iterdir()}
 
     def is_batched(case: Case) -> bool:

@@ -13,7 +13,7 @@ from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import ConfigError, CosimError, StudyResults, load_results
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study import runner
+from ddpc_cosim.study import batches, runner
 from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
 from ddpc_cosim.study.results import write_report
 from ddpc_cosim.study.verdicts.reliability import extreme_runs
@@ -183,6 +183,16 @@ def test_a_batch_of_other_cases_is_refused(study: Path, tmp_path: Path) -> None:
     accepted = accept_batch(staged, tmp_path / "accepted", heads)
     assert [case.id for case in accepted] == [run["id"] for run in runs]
     assert set(Batched(tmp_path / "accepted")) == {run["id"] for run in runs}
+
+
+def test_a_small_file_of_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not unpacked: a folder of results may come from anyone."""
+    path = stage_batch(tmp_path, [{"id": "a", "printed": 100_000 * "x"}, {"id": "b", "printed": ""}])
+    assert [run["id"] for run in read_batch(path)] == ["a", "b"]
+    monkeypatch.setattr(batches, "_LONGEST", 10_000)
+    assert path.stat().st_size < 10_000
+    with pytest.raises(ValueError, match="more than 10000 bytes"):
+        read_batch(path)
 
 
 @pytest.mark.usefixtures("small")
