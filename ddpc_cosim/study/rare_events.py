@@ -107,7 +107,7 @@ class RareEvent(NamedTuple):
     probability : float
         Mean of the repetitions.
     low, high : float
-        Its 95 % interval, from how much they differ (Student's t of the logarithm).
+        Its 95 % interval, from how much they differ.
     loops : int
         How many loops were run.
     repetitions : tuple of float
@@ -170,13 +170,24 @@ def rare_event(
 
 
 def _summary(estimates: Sequence[float], loops: int) -> RareEvent:
-    mean, n = float(np.mean(estimates)), len(estimates)
+    """Return mean and interval of estimates, whose distribution is skewed: about log-normal.
+
+    The interval is Cox's with Student's t: U. Olsson, Confidence intervals for the mean of a log-normal
+    distribution, Journal of Statistics Education 13 (2005). With an estimate of 0, that of the mean.
+    """
+    values, n = np.array(estimates), len(estimates)
+    mean, t = float(np.mean(values)), float(stdtrit(n - 1, (1 + _LEVEL) / 2))
     if mean == 0.0:
-        return RareEvent(0.0, 0.0, float(_KEPT) ** -_MOST_LEVELS, loops, tuple(estimates))
-    spread = float(np.std(estimates, ddof=1)) / mean / math.sqrt(n) * float(stdtrit(n - 1, (1 + _LEVEL) / 2))
-    return RareEvent(
-        mean, mean * math.exp(-spread), min(mean * math.exp(spread), 1.0), loops, tuple(estimates)
-    )
+        low, high = 0.0, float(_KEPT) ** -_MOST_LEVELS
+    elif values.min() == 0.0:
+        low, high = 0.0, mean + t * float(np.std(values, ddof=1)) / math.sqrt(n)
+    else:
+        logs = np.log(values)
+        variance = float(np.var(logs, ddof=1))
+        centre = float(np.mean(logs)) + variance / 2
+        half = t * math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
+        low, high = math.exp(centre - half), math.exp(centre + half)
+    return RareEvent(mean, min(low, mean), min(max(high, mean), 1.0), loops, tuple(estimates))
 
 
 def _repetition(
@@ -189,12 +200,24 @@ def _repetition(
     figures = yield draws
     probability, share = 1.0, 1.0
     for _ in range(_MOST_LEVELS):
-        nearest = np.argsort(-figures, kind="stable")[: samples // _KEPT]
-        reached = float(figures[nearest[-1]])
+        kept = samples // _KEPT
+        reached = float(np.partition(figures, -kept)[-kept])
         if reached >= level:
             break
-        probability *= float(np.mean(figures >= reached))
-        chains = [(draws.chosen(nearest), figures[nearest])]
+        if (
+            np.count_nonzero(figures >= reached) > 2 * kept
+        ):  # many are equal: only what is beyond them is nearer
+            nearer = figures[figures > reached]
+            if not nearer.size:
+                break
+            reached = float(nearer.min())
+            if reached >= level:
+                break
+        members = np.flatnonzero(figures >= reached)
+        probability *= len(members) / samples
+        # Of equal ones any, so that those are not preferred that happen to be beyond the level.
+        begin = rng.choice(members, kept, replace=len(members) < kept)
+        chains = [(draws.chosen(begin), figures[begin])]
         for _ in range(_KEPT - 1):
             here, its_figures = chains[-1]
             moved = here.moved(share, rng)
