@@ -25,7 +25,7 @@ Sampling = Literal["independent", "latin-hypercube", "sobol"]
 """How the numbers of several seeds and parameters are drawn together."""
 
 _STREAM = 12  # of the seed; lower ones are those of loops, of conditions and of forecasts
-_CLOSEST = 2.0**-53  # to 0 and 1, where an unbounded distribution has no value
+CLOSEST = 2.0**-53  # to 0 and 1, where an unbounded distribution has no value
 _SOBOL_BITS = 32  # of which there are as many points as there are seeds
 _LEAST_LEFT = 1e-6
 
@@ -296,7 +296,7 @@ def shares(names: tuple[str, ...], sampling: Sampling, seeds: tuple[int, ...]) -
         drawn = np.column_stack([_stratified(name, len(seeds)) for name in names])
     else:
         drawn = _in_runs(seeds, partial(_independent, names))
-    drawn = np.clip(drawn, _CLOSEST, 1.0 - _CLOSEST)
+    drawn = np.clip(drawn, CLOSEST, 1.0 - CLOSEST)
     drawn.setflags(write=False)
     return drawn
 

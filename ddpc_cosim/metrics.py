@@ -39,6 +39,7 @@ from ddpc_cosim.responses import (
     WholeRun,
 )
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
+from fmu_plants.spelling import did_you_mean
 from fmu_plants.units import display_unit
 
 _TRACE = "ddpc_cosim.loop.trace.Trace"
@@ -143,6 +144,21 @@ def split_key(key: str) -> tuple[str, str, str]:
     head, _, unit = key.partition(" [")
     name, _, signal = head.partition(".")
     return name, signal, unit.removesuffix("]")
+
+
+def keys_named(metric: str, keys: Iterable[str]) -> list[str]:
+    """Return the keys that a metric and its signal stand for, where the unit may be left out.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
+    heads = {key: key.partition(" [")[0] for key in keys}
+    chosen = [key for key, head in heads.items() if metric in (key, head)]
+    if not chosen:
+        raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, heads.values())}')
+    return chosen
 
 
 def metric_name(key: str, keys: Iterable[str] = ()) -> str:

@@ -426,7 +426,7 @@ class Sensors:
         conditions: Conditions,
         sampling_time: float,
         seed: int,
-        normal: "MixedNormal",
+        normal: MixedNormal,
     ) -> None:
         self._conditions, self._seed, self._normal = conditions, seed, normal
         self._outputs, self._names = outputs, names(outputs)

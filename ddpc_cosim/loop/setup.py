@@ -359,7 +359,7 @@ class LoopSetup:
         deviation = self._deviations(noise.standard_deviation if noise else {})
         streams = noise.mixture if noise and noise.mixture else ((seed, 1.0),)
         normal = MixedNormal(
-            [(np.random.default_rng([own, NOISE_STREAM]), weight) for own, weight in streams]
+            [(np.random.default_rng([stream, NOISE_STREAM]), weight) for stream, weight in streams]
         )
         self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, normal)
 

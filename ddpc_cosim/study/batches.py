@@ -40,8 +40,8 @@ def stage_batch(folder: Path, runs: Sequence[dict[str, Any]]) -> Path:
     """
     first, *others = runs
     common = {key: value for key, value in first.items() if all(run.get(key) == value for run in others)}
-    own = [{key: value for key, value in run.items() if key not in common} for run in runs]
-    content = gzip.compress(sealed_json({_COMMON: common, _RUNS: own}), mtime=0)
+    rest = [{key: value for key, value in run.items() if key not in common} for run in runs]
+    content = gzip.compress(sealed_json({_COMMON: common, _RUNS: rest}), mtime=0)
     path = folder / f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}"
     path.write_bytes(content)
     write_through(path)
@@ -69,6 +69,14 @@ def read_batch(path: Path) -> list[dict[str, Any]]:
     return [batch[_COMMON] | run for run in batch[_RUNS]]
 
 
+def _written(path: Path) -> int:
+    """Return when a file was written; another run may have removed it meanwhile."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 class Batched(Mapping[str, CaseResult]):
     """The cases in the batches of a folder, by id, as their files would tell them; a damaged batch has none.
 
@@ -85,7 +93,7 @@ class Batched(Mapping[str, CaseResult]):
         self._settings: dict[str, dict[str, Any]] = {}
         self._places: dict[str, list[Path]] = {}
         self._left: Counter[Path] = Counter()
-        for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=lambda path: path.stat().st_mtime_ns):
+        for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=_written):
             try:
                 runs = read_batch(path)
                 cases = {run["id"]: result_of_run(run, folder / run["id"], batched=True) for run in runs}

@@ -553,7 +553,7 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 
     Its rows, and what it is in, are written to a store, by default in memory.
     """
-    return _told(case, _trace(case, store))
+    return _with_remarks(case, _trace(case, store))
 
 
 def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
@@ -576,7 +576,7 @@ def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
             if trace.outcome is not Outcome.COMPLETED:
                 kept.close()
                 plant = None
-            yield _told(case, trace)
+            yield _with_remarks(case, trace)
 
 
 def _loaded(case: Case, kept: ExitStack) -> Plant:
@@ -591,7 +591,7 @@ def _loaded(case: Case, kept: ExitStack) -> Plant:
     return plant
 
 
-def _told(case: Case, trace: Trace) -> Trace:
+def _with_remarks(case: Case, trace: Trace) -> Trace:
     """Return a trace with what there is to say of it besides."""
     if case.plant.identified and case.plant.identified.ensemble:
         courses = {

@@ -732,6 +732,7 @@ class Study:
         repetitions: int = 10,
         seed: int = 0,
         jobs: int = 1,
+        progress: bool = True,
         engine: EngineName = "compiled",
     ) -> RareEvent:
         """Estimate how probable it is that a figure of a run is as bad as a level or worse.
@@ -758,6 +759,8 @@ class Study:
             Of what is drawn.
         jobs : int
             Number of worker processes.
+        progress : bool
+            Whether to show how far it is.
         engine : {"compiled", "python"}
             What computes the samples.
 
@@ -784,8 +787,13 @@ class Study:
             )
         figures = FiguresOfCases(replace(case, engine=engine), spread, metric, jobs)
         sign = -1.0 if metric_of(metric).better == "high" else 1.0
-        how = {"samples": samples, "repetitions": repetitions, "seed": seed}
-        return rare_event(figures, len(spread), sign * beyond, **how)
+        how: dict[str, Any] = {"samples": samples, "repetitions": repetitions, "seed": seed}
+        if not progress:
+            return rare_event(figures, len(spread), sign * beyond, **how)
+        from ddpc_cosim.cli.progress import display
+
+        with display(f"starting {self.name}") as following:
+            return rare_event(figures, len(spread), sign * beyond, **how, tell=following.prepare)
 
     def resolved(self) -> ResolvedProblems:
         """Return the study, checked, as commands read it.

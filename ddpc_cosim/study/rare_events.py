@@ -13,7 +13,7 @@ D. Straub, MCMC algorithms for subset simulation, Probabilistic Engineering Mech
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,16 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from ddpc_cosim.distributions import Distribution
+from ddpc_cosim.distributions import CLOSEST, Distribution
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop.trace import Outcome
-from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.metrics import keys_named, metric_of
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.study.case_files import CaseResult, load_case
 from ddpc_cosim.study.cases import Case, leaves_nothing_behind
 from ddpc_cosim.study.runner import run_batches, run_cases
 from ddpc_cosim.variables import FloatArray
-from fmu_plants.spelling import did_you_mean
 
 _KEPT = 10  # one of so many is gone on from
 _MOST_LEVELS = 12
@@ -38,7 +37,6 @@ _WANTED = 0.44  # of moves that are made: Papaioannou et al., section 5
 _ANOTHER_SEED = 0.3
 _LARGEST_SEED = 2**31
 _LEVEL = 0.95
-_CLOSEST = 2.0**-53  # to 0 and 1
 _FEWEST_SAMPLES, _FEWEST_REPETITIONS = 100, 3
 
 
@@ -67,9 +65,8 @@ class Draws(NamedTuple):
     def joined(parts: "Sequence[Draws]") -> "Draws":
         """Return draws one after the other."""
         parameters, noise, seeds = zip(*parts, strict=True)
-        return Draws(
-            np.concatenate(parameters), [mixture for own in noise for mixture in own], np.concatenate(seeds)
-        )
+        every = [mixture for mixtures in noise for mixture in mixtures]
+        return Draws(np.concatenate(parameters), every, np.concatenate(seeds))
 
     def moved(self, share: float, rng: np.random.Generator) -> "Draws":
         """Return other draws from the same distributions, which have a share of what is new."""
@@ -90,7 +87,7 @@ class Draws(NamedTuple):
         noise = zip(where.tolist(), others.noise, self.noise, strict=True)
         return Draws(
             np.where(where[:, np.newaxis], others.parameters, self.parameters),
-            [other if is_other else own for is_other, other, own in noise],
+            [other if is_other else mixture for is_other, other, mixture in noise],
             np.where(where, others.seeds, self.seeds),
         )
 
@@ -126,7 +123,14 @@ class RareEvent(NamedTuple):
 
 
 def rare_event(
-    figures: Figures, dimension: int, level: float, *, samples: int, repetitions: int, seed: int
+    figures: Figures,
+    dimension: int,
+    level: float,
+    *,
+    samples: int,
+    repetitions: int,
+    seed: int,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> RareEvent:
     """Estimate the probability that a figure is at a level or above, by repeated subset simulation.
 
@@ -142,6 +146,8 @@ def rare_event(
         Runs of a subset, and how often it is done.
     seed : int
         Of what is drawn.
+    tell : callable, optional
+        Is told how far it is.
 
     Raises
     ------
@@ -157,12 +163,13 @@ def rare_event(
     estimates, loops = dict[int, float](), 0
     while running:  # all of them at a time, so that workers have enough to do
         order = [*running]
-        found = figures(Draws.joined([asked[i] for i in order]))
-        loops += len(found)
+        tell(f"{loops} loops run, {len(order)} of {repetitions} repetitions going on")
+        of_all = figures(Draws.joined([asked[i] for i in order]))
+        loops += len(of_all)
         ends = np.cumsum([len(asked[i].seeds) for i in order])
-        for i, own in zip(order, np.split(found, ends[:-1]), strict=True):
+        for i, of_repetition in zip(order, np.split(of_all, ends[:-1]), strict=True):
             try:
-                asked[i] = running[i].send(own)
+                asked[i] = running[i].send(of_repetition)
             except StopIteration as stop:
                 estimates[i] = stop.value
                 del running[i]
@@ -226,7 +233,7 @@ def _repetition(
             chains.append((here.replaced(moved, is_made), np.where(is_made, others, its_figures)))
             share = min(share * math.exp(float(np.mean(is_made)) - _WANTED), 1.0)
         draws = Draws.joined([part for part, _ in chains])
-        figures = np.concatenate([own for _, own in chains])
+        figures = np.concatenate([part for _, part in chains])
     return probability * float(np.mean(figures >= level))
 
 
@@ -253,7 +260,7 @@ class FiguresOfCases:
 
     def __call__(self, draws: Draws) -> FloatArray:
         """Return figures that are the larger the worse; of a run that does not complete infinity."""
-        shares = np.clip(ndtr(draws.parameters), _CLOSEST, 1.0 - _CLOSEST)
+        shares = np.clip(ndtr(draws.parameters), CLOSEST, 1.0 - CLOSEST)
         drawn = {
             name: distribution.quantile(shares[:, i]).tolist()
             for i, (name, distribution) in enumerate(self.distributions.items())
@@ -268,26 +275,22 @@ class FiguresOfCases:
             )
             for i, (seed, mixture) in enumerate(zip(draws.seeds.tolist(), draws.noise, strict=True))
         ]
-        return np.array([self._figure(result) for result in self._results(cases)])
+        figures = {case.id: self._figure(result) for case, result in self._results(cases)}
+        return np.array([figures[case.id] for case in cases])
 
-    def _results(self, cases: list[Case]) -> list[CaseResult]:
-        found, alone = dict[str, CaseResult](), cases
+    def _results(self, cases: list[Case]) -> Iterator[tuple[Case, CaseResult]]:
+        """Yield cases and their results as they come, so that an unknown metric is told by the first."""
+        alone = cases
         with ScratchFolder() as folder:
             if leaves_nothing_behind(self.case) and not self.case.sandbox:
                 alone = []
-                found |= {
-                    case.id: result for case, result in run_batches(deque(cases), folder, self.jobs, alone)
-                }
+                yield from run_batches(deque(cases), folder, self.jobs, alone)
             for case in run_cases(alone, folder, self.jobs):
-                found[case.id] = load_case(folder / case.id)
-        return [found[case.id] for case in cases]
+                yield case, load_case(folder / case.id)
 
     def _figure(self, result: CaseResult) -> float:
         if result.outcome is not Outcome.COMPLETED:
             return math.inf
-        key = next((key for key in result.metrics if self.metric in (key, key.partition(" [")[0])), "")
-        if not key:
-            shown = [key.partition(" [")[0] for key in result.metrics]
-            raise ConfigError(f'no metric "{self.metric}"; {did_you_mean(self.metric, shown)}')
+        key = keys_named(self.metric, result.metrics)[0]
         value = result.metrics[key] * (-1.0 if metric_of(key).better == "high" else 1.0)
         return -math.inf if math.isnan(value) else value

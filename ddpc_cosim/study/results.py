@@ -19,6 +19,7 @@ from ddpc_cosim.files.tables import Table, plain_table, table_text
 from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.loop.trace import Trace
+from ddpc_cosim.metrics import keys_named
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
@@ -256,11 +257,7 @@ class StudyResults:
         from ddpc_cosim.study.verdicts.comparison import Comparison
         from ddpc_cosim.study.verdicts.statistics import compare_frame
 
-        keys = list(dict.fromkeys(key for case in self.cases for key in case.metrics))
-        chosen = [key for key in keys if metric in (key, key.partition(" [")[0])]
-        if not chosen:
-            shown = [key.partition(" [")[0] for key in keys]
-            raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, shown)}')
+        chosen = keys_named(metric, dict.fromkeys(key for case in self.cases for key in case.metrics))
         names = {case.label: case.controller for case in self.cases}
         table = compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
         return Comparison.of(table, f"{chosen[0]}, less that of {baseline}: medians over the seeds")

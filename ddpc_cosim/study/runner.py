@@ -384,7 +384,8 @@ def run_missing(
     how: dict[str, Any] = {"storage": selection.storage}
     if selection.engine:
         how["engine"] = selection.engine
-    for_batches = _for_batches([replace(case, **how) for case in cases], selection)
+    cases = [replace(case, **how) for case in cases]
+    for_batches = _for_batches(cases, selection)
     batched = Batched(cases_folder)
     by_themselves = {path.name for path in cases_folder.iterdir()}
 
@@ -408,8 +409,8 @@ def run_missing(
         if not begin:
             result = batched[case.id] if is_batched(case) else load_case(cases_folder / case.id)
             progress.finished(case, result)
-    alone = [replace(case, **how) for case in missing.values() if case.id not in for_batches]
-    together = deque(replace(case, **how) for case in missing.values() if case.id in for_batches)
+    alone = [case for case in missing.values() if case.id not in for_batches]
+    together = deque(case for case in missing.values() if case.id in for_batches)
     for case in _done(alone, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
@@ -622,20 +623,20 @@ def run_batches(
         try:
             while cases or running:
                 while cases and len(running) < jobs:
-                    batch = [cases.popleft()]
-                    while cases and len(batch) < _BATCH and _are_alike(cases[0], batch[0]):
-                        batch.append(cases.popleft())
+                    first, chosen = cases[0], list[Case]()
+                    while cases and len(chosen) < _BATCH and _are_alike(cases[0], first):
+                        chosen.append(cases.popleft())
                     if not idle:
-                        memory = _memory(batch[0], jobs)
+                        memory = _memory(first, jobs)
                         idle.append(Worker(serve_calls, folder=temporary, preload=preload, memory=memory))
-                    running.append(_Batch(idle.pop(), batch, monotonic()))
-                    context = CaseContext.of(batch[0])
+                    running.append(_Batch(idle.pop(), chosen, monotonic()))
+                    context = CaseContext.of(first)
                     environment = (context.modules, context.values, work)
                     with suppress(OSError):  # it has died, which is seen below
-                        ask(running[-1].worker.channel, run_batch, batch, staging, *environment)
+                        ask(running[-1].worker.channel, run_batch, chosen, staging, *environment)
                 ready = wait([batch.worker.channel.socket for batch in running], _POLL_SECONDS)
                 ForkServer.wake()
-                for ended in [b for b in running if b.is_late or b.worker.channel.socket in ready]:
+                for ended in [batch for batch in running if batch.has_ended(ready)]:
                     running.remove(ended)
                     try:
                         results = ended.results(staging, folder)
@@ -656,6 +657,10 @@ class _Batch(NamedTuple):
     worker: Worker
     cases: list[Case]
     since: float
+
+    def has_ended(self, ready: Sequence[Any]) -> bool:
+        """Whether there is something to hear of it, or nothing for too long."""
+        return self.is_late or self.worker.channel.socket in ready
 
     @property
     def is_late(self) -> bool:

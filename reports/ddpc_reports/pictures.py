@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from ddpc_cosim import ConfigError, Picture, StudyResults, Trace
 from ddpc_cosim.files.tables import Table
 from ddpc_cosim.files.texts import clipped, printable
+from ddpc_cosim.metrics import keys_named
 from ddpc_cosim.plugins import did_you_mean
 from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.embedding import rows_of, stylesheet
@@ -210,10 +211,7 @@ def spread_of_results(
     condition = condition_of(results, controllers, problem=problem, scenario=scenario)
     keys = condition.headline
     if metric:
-        keys = tuple(key for key in condition.every_key if metric in (key, key.partition(" [")[0]))
-        known = [key.partition(" [")[0] for key in condition.every_key]
-        if not keys:
-            raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, known)}')
+        keys = tuple(keys_named(metric, condition.every_key))
     figures = [
         figure for i, key in enumerate(keys) if (figure := spread_figure(condition, key, f"p-spread-{i}"))
     ]

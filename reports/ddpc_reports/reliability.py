@@ -63,7 +63,7 @@ def _samples_words(condition: Condition) -> Markup:
             Markup("{} with seeds {}").format(italic(controller.label), join_words(list(map(str, seeds))))
         )
     return Markup(
-        "They are kept of {:,} of {:,} runs: those of the first seeds, and of each controller the {} worst, "
+        "They are kept of {} of {} runs: those of the first seeds, and of each controller the {} worst, "
         "the middle and the best one. The worst are {}. Any other is made again by its seed, to the last bit."
     ).format(sum(case.has_samples for case in cases), len(cases), WORST, _first(worst))
 

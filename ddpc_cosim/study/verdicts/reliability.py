@@ -191,22 +191,23 @@ def reliability(study: Study, cases: Sequence[CaseResult]) -> list[Reliability]:
 def extreme_runs(study: Study, cases: Sequence[CaseResult]) -> list[CaseResult]:
     """Return of each controller in each scenario the runs that are worst, in the middle and best.
 
-    Runs that failed are the worst, those that ended early before the others; else it is by the sum of what
-    runs are ranked by.
+    Runs that failed are the worst, those that ended early before the others; else it is by what controllers
+    are ranked by, of several figures by the sum of the ranks among the runs: these have no unit.
     """
     groups: dict[tuple[str, str], list[CaseResult]] = {}
     for case in cases:
         groups.setdefault((case.controller, case.scenario), []).append(case)
     keys = headline(dict.fromkeys(key for case in cases for key in case.metrics), study.metrics.ranking)
 
-    def worst_first(case: CaseResult) -> tuple[bool, bool, float]:
-        figure = math.fsum(case.metrics.get(key, math.inf) for key in keys)
-        return case.outcome is Outcome.COMPLETED, not case.failed, -figure if figure == figure else -math.inf
-
     chosen = []
     for runs in groups.values():
-        runs.sort(key=worst_first)
-        chosen += [*runs[:WORST], runs[len(runs) // 2], runs[-1]]
+        figures = np.array([[run.metrics.get(key, math.nan) for key in keys] for run in runs])
+        ranks = figures.argsort(axis=0, kind="stable").argsort(axis=0).sum(axis=1)  # NaN is the worst
+        order = sorted(
+            range(len(runs)),
+            key=lambda i: (runs[i].outcome is Outcome.COMPLETED, not runs[i].failed, -ranks[i]),
+        )
+        chosen += [runs[order[place]] for place in (*range(min(WORST, len(runs))), len(runs) // 2, -1)]
     return chosen
 
 

@@ -11,10 +11,12 @@ import pytest
 from click.testing import CliRunner
 from studies import cases_in, run_file, study_text, write
 
-from ddpc_cosim import ConfigError, CosimError, StudyResults, load_results
+from ddpc_cosim import CaseResult, ConfigError, CosimError, StudyResults, load_results
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import batches, runner
 from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
+from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.results import write_report
 from ddpc_cosim.study.verdicts.reliability import extreme_runs
 
@@ -151,6 +153,40 @@ def test_what_is_there_is_not_run_again_and_what_is_damaged_is(
     assert int(again.runs[-1]["cases run"]) <= count
     assert not again.damaged
     np.testing.assert_equal(figures(again), figures(results))
+
+
+class Stops(Silent):
+    """Asks to stop as Ctrl-C does, when so many cases are done."""
+
+    def __init__(self, most: int) -> None:
+        self._left = most
+
+    def finished(self, case: Case, result: CaseResult) -> None:
+        self._left -= 1
+        if not self._left:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.usefixtures("small")
+def test_what_was_done_before_ctrl_c_is_not_run_again(study: Path) -> None:
+    alone_first = 2 * 3  # two seeds of three controllers, doing nothing among them
+    with pytest.raises(KeyboardInterrupt):
+        run(study, progress=Stops(alone_first + 4))
+    there = {run["id"] for path in (study.parent / "out/cases").glob("batch-*") for run in read_batch(path)}
+    assert len(there) >= 4
+    results = run(study)
+    assert results.runs[-1]["cases run"] == str(3 * SEEDS - alone_first - len(there))
+    np.testing.assert_equal(figures(results), figures(run(study, "whole")))
+
+
+@pytest.mark.usefixtures("small")
+def test_shards_put_together_are_the_whole(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_MANY_SEEDS", 4)
+    for shard in ("1/2", "2/2"):
+        run(study, shard=shard)
+    results = run(study)
+    assert (results.runs[-1]["cases run"], results.damaged) == ("0", {})
+    np.testing.assert_equal(figures(results), figures(run(study, "whole")))
 
 
 @pytest.mark.usefixtures("small")

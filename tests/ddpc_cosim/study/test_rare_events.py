@@ -157,4 +157,4 @@ def test_metrics_and_controllers_that_are_not_there() -> None:
     with pytest.raises(ConfigError, match='no controller "Q"'):
         drive(0.1).probability(METRIC, 1.0, controller="Q")
     with pytest.raises(ConfigError, match=r'no metric "max_abs_eror.load_speed"; did you mean'):
-        drive(0.1).probability("max_abs_eror.load_speed", 1.0, controller="P", samples=100, repetitions=3)
+        drive(0.1).probability("max_abs_eror.load_speed", 1.0, controller="P")
