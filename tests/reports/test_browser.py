@@ -145,6 +145,25 @@ def test_a_chart_becomes_live_in_view_and_takes_the_place_of_its_drawing(
     assert all(abs(place[1] - place[3]) <= 2 for place in live)
 
 
+def test_on_a_narrow_screen_the_first_figures_of_the_ranking_are_in_view(
+    chromium: webdriver.Chrome, page: str
+) -> None:
+    """They are the answer: nobody scrolls a table sideways for it."""
+    size = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        open_page(chromium, page)
+        right = """
+        const row = document.querySelector('.ranking tbody tr');
+        const cells = [...row.children].filter((cell) => cell.checkVisibility() && cell.offsetWidth);
+        const first = cells[cells.findIndex((cell) => cell.classList.contains('rank')) + 1];
+        return first.getBoundingClientRect().right;
+        """
+        assert 300 < chromium.execute_script(right) <= 390
+    finally:
+        chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_a_live_chart_has_the_name_of_its_drawing(browser: webdriver.Chrome) -> None:
     live, drawing = (element(browser, f".chart {part}") for part in (".live", ".static"))
     assert live.get_attribute("aria-label") == drawing.get_attribute("aria-label") != ""
