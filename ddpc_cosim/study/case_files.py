@@ -320,7 +320,7 @@ def described(trace: Trace, head: dict[str, Any], settings: MetricSettings) -> d
             "outcome": trace.outcome.value,
             "reason": recorded(trace.reason),
             "transient": trace.transient,
-            **_judged(trace, settings),
+            **evaluated(trace, settings),
             "diagnostics": trace.diagnostics,
             "info": list(trace.info),
             "warnings": list(trace.warnings),
@@ -506,14 +506,14 @@ def recompute_metrics(folder: Path, settings: MetricSettings) -> None:
         run = _read_run(folder)
         if run["metric_settings"] == asdict(settings):
             return
-        run |= _judged(read_trace(folder), settings)
+        run |= evaluated(read_trace(folder), settings)
         write_atomically(folder / RUN_FILE, sealed_json(run))
     except DAMAGED as error:
         raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
 
 
-def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
-    """Return what is said of a run, and what that depends on."""
+def evaluated(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
+    """Return what ``run.json`` says of a run's samples, and what that depends on besides them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         metrics = trace.metrics(settings)

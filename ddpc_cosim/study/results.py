@@ -731,7 +731,7 @@ def write_metrics(results: StudyResults) -> None:
     OSError
         It cannot be written.
     """
-    header, rows = _metrics_table(results.whole, results.cases)
+    header, rows = metrics_table(results)
     write_atomically(results.folder / METRICS_FILE, encodable(table_text(header, rows)).encode())
     if any(case.batched for case in results.cases):
         with suppress(MissingLibraryError):
@@ -752,8 +752,9 @@ def _write_parquet(path: Path, header: Sequence[str], rows: Sequence[Sequence[An
         (staging / path.name).replace(path)
 
 
-def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> tuple[list[str], list[list[Any]]]:
+def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
     """Return header and rows of ``metrics.csv``."""
+    study, cases = results.whole, results.cases
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
     parameters = list(dict.fromkeys(name for case in cases for name in case.drawn))
     has_variants = any(problem.variant_of for problem in study.problems.values())

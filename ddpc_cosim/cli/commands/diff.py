@@ -30,7 +30,7 @@ def diff(
     ),
 ) -> int:
     """Compare two runs case by case; exit with 1 if one differs by more than both allow."""
-    from ddpc_cosim.cli.differences import compared, loaded
+    from ddpc_cosim.study.agreement import compared, loaded
 
     results = loaded(folders[0]), loaded(folders[1])
     total, lines = compared(results, absolute, relative)

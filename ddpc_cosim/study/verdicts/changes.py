@@ -13,6 +13,7 @@ from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Runs, Sample, compare_pairs, describe
 
 if TYPE_CHECKING:
+    from ddpc_cosim.study.problems import WholeStudy
     from ddpc_cosim.study.results import StudyResults
 
 CaseKey = tuple[str, str, str, int]
@@ -115,11 +116,16 @@ def changes_between(before: "StudyResults", after: "StudyResults") -> Changes:
     return Changes(
         tuple(changes),
         tuple(ranked_by),
-        _differing(_flat(before.whole.tables()), _flat(after.whole.tables())),
+        settings_between(before.whole, after.whole),
         _differing(_lasting(before.provenance), _lasting(after.provenance)),
         tuple(case.id for key, case in first.items() if key not in second),
         tuple(case.id for key, case in second.items() if key not in first),
     )
+
+
+def settings_between(before: "WholeStudy", after: "WholeStudy") -> dict[str, tuple[str | None, str | None]]:
+    """Return what two studies say differently, by its path; None: it is not said."""
+    return _differing(_flat(before.tables()), _flat(after.tables()))
 
 
 def _keys(pairs: Sequence[tuple[CaseResult, CaseResult]]) -> list[str]:

@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import load_results
-from ddpc_cosim.cli.differences import _excess
 from ddpc_cosim.cli.main import main
+from ddpc_cosim.study.agreement import _excess
 from ddpc_cosim.study.case_files import write_case
 
 WriteStudy = Callable[..., Path]

@@ -1,4 +1,4 @@
-"""What two folders of results say differently."""
+"""Whether two runs of a case, or two folders of results, say the same within tolerances."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,14 +42,14 @@ def compared(
     lines = [
         f"{case.id}: {difference}"
         for key, case in first.items()
-        if key in second and (difference := _difference(case, second[key], absolute, relative))
+        if key in second and (difference := difference_of(case, second[key], absolute, relative))
     ]
     for own, cases, others in ((results[0], first, second), (results[1], second, first)):
         lines += [f"{case.id}: only in {own.folder}" for key, case in cases.items() if key not in others]
     return len(first.keys() | second.keys()), lines
 
 
-def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:
+def difference_of(case: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:
     """Return in words the worst difference of two cases, but for computation times; empty: they agree."""
     if case.outcome is not other.outcome:
         return f"{case.outcome}, other {other.outcome}"
@@ -67,14 +67,14 @@ def _difference(case: CaseResult, other: CaseResult, absolute: float, relative: 
         if unequal:
             k = unequal[0]
             return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
-        signals = [_signals(trace, infos=is_one_engine) for trace in (first, second)]
-        if difference := _unequal(signals, absolute, relative, first.time):
+        signals = [samples_of(trace, infos=is_one_engine) for trace in (first, second)]
+        if difference := worst_difference(signals, absolute, relative, first.time):
             return difference
     # What is computed from signals that differ says no more.
-    return _unequal([_metrics(case), _metrics(other)], absolute, relative)
+    return worst_difference([_metrics(case), _metrics(other)], absolute, relative)
 
 
-def _unequal(
+def worst_difference(
     tables: Sequence[Mapping[str, FloatArray]],
     absolute: float,
     relative: float,
@@ -93,7 +93,7 @@ def _unequal(
     return f"{name}{where} is {ours[name][k]:.9g}, other {theirs[name][k]:.9g}"
 
 
-def _signals(trace: Trace, *, infos: bool) -> dict[str, FloatArray]:
+def samples_of(trace: Trace, *, infos: bool) -> dict[str, FloatArray]:
     """Return the samples but for times of computation; what a controller tells of itself only if asked."""
     return {
         name: values

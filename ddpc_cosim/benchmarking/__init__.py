@@ -1,0 +1,1 @@
+"""Entering a benchmark: a controller on its terms, in a folder that anyone can check."""
