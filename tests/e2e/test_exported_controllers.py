@@ -92,6 +92,10 @@ def cases_of(study: str) -> list[Case]:
     for name, problem in resolved.problems.items():
         of_problem = cases_of_problems({name: (problem, problem.plant.built())}, problem.study.seeds[:1])
         cases_of_all += [case for case in of_problem if case.scenario == of_problem[0].scenario]
+    # Problems that differ by their days or prices alone have the same controllers.
+    cases_of_all = [
+        *{repr((case.section, case.plant.content, case.inputs)): case for case in cases_of_all}.values()
+    ]
     chosen = sorted(cases_of_all, key=lambda case: case.section["type"])[:: -(-len(cases_of_all) // MOST)]
     assert {case.section["type"] for case in chosen} == {case.section["type"] for case in cases_of_all}
     return [replace(case, duration=min(case.duration, LONGEST * case.sampling_time)) for case in chosen]
