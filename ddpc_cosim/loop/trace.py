@@ -258,14 +258,11 @@ class Trace:
             A metric of a third party fails; its value is NaN.
         """
         settings = settings or MetricSettings(self.preview)
-        rows, h = slice(0, self.held), self.sampling_time
+        h = self.sampling_time
         table = compute_metrics(
             self._responses(settings),
-            [
-                Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
-                for i, variable in enumerate(self.inputs)
-            ],
-            self._charged(),
+            self.actuations,
+            self.paid,
             StepTimes(self.solve_time, h, self.failures, len(self), settings.key_figures is not None),
             settings.cost,
             self._key_figures(settings.key_figures),
@@ -322,8 +319,18 @@ class Trace:
             moves[1:] |= np.abs(np.diff(values)) > 1e-9 * np.ptp(values) if len(values) else False
         return moves
 
-    def _charged(self) -> Charged | None:
-        """Return what is paid for; None without prices."""
+    @property
+    def actuations(self) -> list[Actuation]:
+        """The inputs over the held samples."""
+        rows, h = slice(0, self.held), self.sampling_time
+        return [
+            Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
+            for i, variable in enumerate(self.inputs)
+        ]
+
+    @property
+    def paid(self) -> Charged | None:
+        """What is paid for; None without prices."""
         if not self.charges:
             return None
         held = {*names(self.inputs), *names(self.changed_inputs)}

@@ -1,0 +1,119 @@
+"""What a controller sees at a sample as one vector: inputs of its FMU, of a policy, of an environment."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ddpc_cosim.controller import Loop, Sample, further_arguments
+from ddpc_cosim.variables import FloatArray, Variable, names
+
+_KINDS = {
+    "setpoint": "Reference",
+    "reference": "Reference",
+    "disturbance": "Measured value",
+    "forecast": "Forecast",
+    "lower": "Lower edge of the band",
+    "upper": "Upper edge of the band",
+    "price": "Price",
+    "min": "Lower limit",
+    "max": "Upper limit",
+}
+_AHEAD = ("now", "at the next sample")
+
+
+class Observation:
+    """The numbers that are seen at a sample, one after another, and what they are.
+
+    They are the controlled outputs as measured, the other measurements, the reference now and in the next
+    samples as far as the loop's preview and the horizon go, and what :func:`further_signals` lists:
+    disturbances and forecasts, edges of bands, prices and limits that move, where the loop has such.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop.
+    horizon : int
+        How many samples ahead are seen.
+
+    Attributes
+    ----------
+    measurements, references, further : tuple of Variable
+        The three parts of them: called as the measured signals; ``setpoint.NAME`` for the reference now and
+        ``reference.NAME[k]`` for that in k samples; as :func:`further_signals` calls them.
+    """
+
+    def __init__(self, loop: Loop, horizon: int) -> None:
+        controlled = names(loop.outputs)
+        self._others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
+        self._preview = min(loop.preview, horizon)
+        self._further = [(name, shape[0]) for name, shape in further_arguments(loop, horizon).items()]
+        self.measurements = (*loop.outputs, *(loop.measurements[i] for i in self._others))
+        self.references = tuple(
+            _ahead_of(variable, "reference" if k else "setpoint", k)
+            for k in range(self._preview + 1)
+            for variable in loop.outputs
+        )
+        self.further = tuple(further_signals(loop, horizon))
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All of them, n names and units."""
+        return (*self.measurements, *self.references, *self.further)
+
+    def of(self, sample: Sample) -> FloatArray:
+        """Return them at a sample, in their units, shape (n,)."""
+        parts = [sample.y, sample.measured[self._others], sample.setpoint]
+        parts.append(sample.reference[: self._preview].ravel())
+        parts += [getattr(sample, name)[:rows].ravel() for name, rows in self._further]
+        return np.concatenate(parts)
+
+
+def further_signals(loop: Loop, horizon: int) -> list[Variable]:
+    """Return the inputs of the FMU that :func:`ddpc_cosim.further_arguments` lists, one after another.
+
+    They are called ``disturbance.NAME`` and ``forecast.NAME[k]``, that in k samples; ``lower.NAME`` and
+    ``upper.NAME`` of a band, ``price.NAME``, and ``min.NAME`` and ``max.NAME`` of limits, now, and with
+    ``[k]`` in k samples. What is ahead starts as NaN, which is not known: where it is not connected the row
+    before holds.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop that the controller was started with.
+    horizon : int
+        The controller's.
+    """
+    prices = [Variable(c.name, f"{c.unit}/{c.amount}", description="Price") for c in loop.charges]
+    bounds, standing = loop.bounds, {"price": np.zeros((len(prices), 1))}
+    standing["disturbance"] = np.array([[variable.start] for variable in loop.disturbances])
+    standing["input_limits"] = np.stack([bounds.u_min, bounds.u_max], axis=1)
+    standing["output_limits"] = np.stack([bounds.y_min, bounds.y_max], axis=1)
+    of_field: dict[str, tuple[Sequence[Variable], Sequence[str], int]] = {
+        "disturbance": (loop.disturbances, ("disturbance",), 0),
+        "forecast": (loop.disturbances, ("forecast",), 1),
+        "band_now": (loop.outputs, ("lower", "upper"), 0),
+        "band": (loop.outputs, ("lower", "upper"), 1),
+        "price": (prices, ("price",), 0),
+        "input_limits": (loop.inputs, ("min", "max"), 0),
+        "output_limits": (loop.outputs, ("min", "max"), 1),
+    }
+    signals = []
+    for field, shape in further_arguments(loop, horizon).items():
+        variables, kinds, first = of_field[field]
+        rows = 1 if field in ("disturbance", "band_now") else shape[0]
+        for row in range(rows):
+            for number, variable in enumerate(variables):
+                for side, kind in enumerate(kinds):
+                    start = float(standing[field][number, side]) if field in standing and not row else np.nan
+                    signal = _ahead_of(variable, kind, row + first)
+                    start = start if np.isfinite(start) else np.nan
+                    signals.append(replace(signal, min=-np.inf, max=np.inf, start=start))
+    return signals
+
+
+def _ahead_of(variable: Variable, kind: str, k: int) -> Variable:
+    """Return what is known of a signal in k samples as a variable of its own."""
+    when = f"{k} samples ahead" if k > 1 else _AHEAD[k]
+    name = f"{kind}.{variable.name}[{k}]" if k else f"{kind}.{variable.name}"
+    return replace(variable, name=name, description=f"{_KINDS[kind]} of {variable.name} {when}")
