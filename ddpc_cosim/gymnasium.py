@@ -310,7 +310,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         if case.continue_recording:
             raise ConfigError('loop.start is "recording-end": an episode cannot begin anywhere else')
         state = serialise_plant(self._plant, self._question[1].time)
-        before = case.resumed or Resumption(b"", case.start_time - case.warm_up)
+        before = case.resumed or Resumption(b"", case.start_time - case.warm_up, changed={})
         resumption = before._replace(state=state, samples=before.samples + self._k)
         return SavedState(resumption, case.parameters)
 
