@@ -437,13 +437,13 @@ class _Costs:
         self._store, self.samples = store, len(store.y) - 1
         weights = {split_key(key)[:2]: weight for key, weight in figures.items()}
         per_sample = {"mean_abs_error": 1.0 / self.samples, "band_violation": case.sampling_time / _HOUR}
-        self._errors = np.zeros(len(case.outputs))
+        errors = np.zeros(len(case.outputs))
         sizes = np.empty(len(case.outputs))
         for i, variable in enumerate(case.outputs):
             factor = abs(variable.shown_in.factor)
             sizes[i] = abs(spans[variable.name]) / factor
             for name, share in per_sample.items():
-                self._errors[i] += weights.get((name, variable.name), 0.0) * share * factor
+                errors[i] += weights.get((name, variable.name), 0.0) * share * factor
         self._money = weights.get(("money", ""), 0.0)
         self._trace = no_samples(case, Outcome.COMPLETED, "")
         self._squares = weights.get(("cost", ""), 0.0)
@@ -454,16 +454,17 @@ class _Costs:
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])
                 for kind, variables in kinds
             ]
-        self._worst = float(self._errors @ sizes)
+        self._worst, self._of_errors = float(errors @ sizes), errors.tolist()
         if self._squares:
             self._worst += self._squares * float(self._of_squares[0] @ sizes**2)
 
     def of(self, k: int) -> float:
         """Return what sample k costs, whose inputs have been held."""
         store = self._store
-        error = store.reference[k] - store.y[k]
-        cost = float(np.abs(error) @ self._errors)
+        pairs = zip(store.reference[k].tolist(), store.y[k].tolist(), self._of_errors, strict=True)
+        cost = sum([abs(wanted - y) * weight for wanted, y, weight in pairs], 0.0)
         if self._squares:
+            error = store.reference[k] - store.y[k]
             u = store.u[k] - self._rest
             changes = store.u[k] - (store.u[k - 1] if k else self._rest)
             squared = zip(self._of_squares, (error, u, changes), strict=True)

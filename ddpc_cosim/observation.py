@@ -63,9 +63,13 @@ class Observation:
 
     def of(self, sample: Sample) -> FloatArray:
         """Return them at a sample, in their units, shape (n,)."""
-        parts = [sample.y, sample.measured[self._others], sample.setpoint]
-        parts.append(sample.reference[: self._preview].ravel())
-        parts += [getattr(sample, name)[:rows].ravel() for name, rows in self._further]
+        parts = [sample.y, sample.setpoint]
+        if self._others:
+            parts.insert(1, sample.measured[self._others])
+        if self._preview:
+            parts.append(sample.reference[: self._preview].ravel())
+        for name, rows in self._further:
+            parts.append(getattr(sample, name)[:rows].ravel())
         return np.concatenate(parts)
 
 

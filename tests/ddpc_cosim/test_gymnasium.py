@@ -121,7 +121,11 @@ def test_the_problems_of_the_benchmark_are_registered() -> None:
     own = env.unwrapped
     assert isinstance(own, ProblemEnv)
     assert own.observation_names == ("angle", "setpoint.angle", "reference.angle[1]", "reference.angle[2]")
-    assert (own.observation_units, own.action_names, own.action_units) == (("rad",) * 4, ("torque",), ("N.m",))
+    assert (own.observation_units, own.action_names, own.action_units) == (
+        ("rad",) * 4,
+        ("torque",),
+        ("N.m",),
+    )
     assert env.action_space == gymnasium.spaces.Box(-3.5, 3.5, (1,), np.float64)
     env.close()
 
@@ -232,7 +236,9 @@ def test_rewards_sum_to_minus_the_quadratic_cost() -> None:
 
 def test_a_saved_state_is_gone_on_from() -> None:
     """Without what is random, and with actuators at rest, the rest of an episode is the same."""
-    problem = replace(disturbed(), noise={}, conditions=Conditions(), parameters={"mass": Normal(1.0, 0.1, low=0.5)})
+    problem = replace(
+        disturbed(), noise={}, conditions=Conditions(), parameters={"mass": Normal(1.0, 0.1, low=0.5)}
+    )
     env = of(problem)
     actions = drawn(-3.5, 3.5, 20)
     env.reset(seed=5)
@@ -242,7 +248,7 @@ def test_a_saved_state_is_gone_on_from() -> None:
     seen = [env.step(action)[0] for action in actions[8:]]
     assert env.trace is not None
     whole = env.trace
-    first, info = env.reset(seed=6, options={"state": saved})
+    _, info = env.reset(seed=6, options={"state": saved})
     again = [env.step(action)[0] for action in actions[8:]]
     np.testing.assert_array_equal(again, seen)
     assert info["time"] == pytest.approx(0.8)
