@@ -22,6 +22,7 @@ from ddpc_cosim.metrics import headline, keys_named, split_key
 from ddpc_cosim.observation import Observation
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.processes.rows import RowStore
+from ddpc_cosim.responses import Actuation
 from ddpc_cosim.study.cases import (
     Case,
     no_samples,
@@ -339,8 +340,9 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         except BaseException:
             self._close_plant()
             raise
-        self._run, self._costs = run, _Costs(case, self.figures, self._spans, store)
-        return self._question[1]
+        sample = self._question[1]
+        self._run, self._costs = run, _Costs(case, self.figures, self._spans, store, sample)
+        return sample
 
     def _end_run(self) -> None:
         """Leave an episode."""
@@ -394,7 +396,7 @@ def _going_on(case: Case, state: Any) -> Case:
 
 def _figures(case: Case, resolved: ResolvedStudy, weights: Mapping[str, float]) -> dict[str, float]:
     """Return what a study ranks by, by key, and what a unit of each counts."""
-    known = no_samples(case, Outcome.COMPLETED, "").metrics(case.metrics)
+    known = no_samples(case, Outcome.TERMINATED, "").metrics(case.metrics)
     ranked = headline(known, resolved.study.metrics.ranking)
     spans = reference_spans(resolved)
     errors = [key for key in ranked if split_key(key)[0] == "mean_abs_error"]
@@ -424,6 +426,8 @@ class _Costs:
         By how much each reference moves, in display units.
     store : RowStore
         Its rows.
+    sample : Sample
+        The first one.
 
     Attributes
     ----------
@@ -432,7 +436,12 @@ class _Costs:
     """
 
     def __init__(
-        self, case: Case, figures: Mapping[str, float], spans: Mapping[str, float], store: RowStore
+        self,
+        case: Case,
+        figures: Mapping[str, float],
+        spans: Mapping[str, float],
+        store: RowStore,
+        sample: Sample,
     ) -> None:
         self._store, self.samples = store, len(store.y) - 1
         weights = {split_key(key)[:2]: weight for key, weight in figures.items()}
@@ -448,7 +457,12 @@ class _Costs:
         self._trace = no_samples(case, Outcome.COMPLETED, "")
         self._squares = weights.get(("cost", ""), 0.0)
         if self._squares:
-            self._rest = np.array([actuation.rest for actuation in self._trace.actuations])
+            self._rest = np.array(
+                [
+                    Actuation(variable, np.empty(0), (float(low), float(high)), case.sampling_time).rest
+                    for variable, (low, high) in zip(case.inputs, sample.input_limits[0], strict=True)
+                ]
+            )
             kinds = (("outputs", case.outputs), ("inputs", case.inputs), ("changes", case.inputs))
             self._of_squares = [
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])

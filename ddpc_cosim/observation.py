@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Loop, Sample, further_arguments
 from ddpc_cosim.variables import FloatArray, Variable, names
@@ -20,14 +22,16 @@ _KINDS = {
     "max": "Upper limit",
 }
 _AHEAD = ("now", "at the next sample")
+_LIMITS = ("input_limits", "output_limits")
+"""The last of the further arguments."""
 
 
 class Observation:
     """The numbers that are seen at a sample, one after another, and what they are.
 
     They are the controlled outputs as measured, the other measurements, the reference now and in the next
-    samples as far as the loop's preview and the horizon go, and what :func:`further_signals` lists:
-    disturbances and forecasts, edges of bands, prices and limits that move, where the loop has such.
+    samples as far as the loop's preview and the horizon go, and of what :func:`further_signals` lists
+    disturbances and forecasts, edges of bands, prices, and limits that move and are finite.
 
     Parameters
     ----------
@@ -39,15 +43,18 @@ class Observation:
     Attributes
     ----------
     measurements, references, further : tuple of Variable
-        The three parts of them: called as the measured signals; ``setpoint.NAME`` for the reference now and
-        ``reference.NAME[k]`` for that in k samples; as :func:`further_signals` calls them.
+        The three parts of them, with all limits: called as the measured signals; ``setpoint.NAME`` for the
+        reference now and ``reference.NAME[k]`` for that in k samples; as :func:`further_signals` calls them.
+    variables : tuple of Variable
+        All of them, n names and units.
     """
 
     def __init__(self, loop: Loop, horizon: int) -> None:
         controlled = names(loop.outputs)
         self._others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
         self._preview = min(loop.preview, horizon)
-        self._further = [(name, shape[0]) for name, shape in further_arguments(loop, horizon).items()]
+        shapes = further_arguments(loop, horizon)
+        self._further = [(name, shape[0]) for name, shape in shapes.items()]
         self.measurements = (*loop.outputs, *(loop.measurements[i] for i in self._others))
         self.references = tuple(
             _ahead_of(variable, "reference" if k else "setpoint", k)
@@ -55,14 +62,24 @@ class Observation:
             for variable in loop.outputs
         )
         self.further = tuple(further_signals(loop, horizon))
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """All of them, n names and units."""
-        return (*self.measurements, *self.references, *self.further)
+        every = (*self.measurements, *self.references, *self.further)
+        seen = np.ones(len(every), dtype=bool)
+        # A limit that does not move says nothing, and what is infinite cannot be calculated with.
+        if limits := [
+            _seen_limits(loop, name, shape[0]) for name, shape in shapes.items() if name in _LIMITS
+        ]:
+            at_the_end = np.concatenate(limits)
+            seen[len(every) - len(at_the_end) :] = at_the_end
+        self._seen = None if seen.all() else seen
+        self.variables = tuple(compress(every, seen))
 
     def of(self, sample: Sample) -> FloatArray:
         """Return them at a sample, in their units, shape (n,)."""
+        whole = self.with_all_limits(sample)
+        return whole if self._seen is None else whole[self._seen]
+
+    def with_all_limits(self, sample: Sample) -> FloatArray:
+        """Return them with limits that do not move, infinite ones too, as code in C is given them."""
         parts = [sample.y, sample.setpoint]
         if self._others:
             parts.insert(1, sample.measured[self._others])
@@ -71,6 +88,18 @@ class Observation:
         for name, rows in self._further:
             parts.append(getattr(sample, name)[:rows].ravel())
         return np.concatenate(parts)
+
+
+def _seen_limits(loop: Loop, field: str, rows: int) -> NDArray[np.bool_]:
+    """Return which entries of so many rows of limits move and are finite."""
+    bounds = loop.bounds
+    variables, ends = (
+        (loop.inputs, (bounds.u_min, bounds.u_max))
+        if field == "input_limits"
+        else (loop.outputs, (bounds.y_min, bounds.y_max))
+    )
+    moves = np.array([[variable.name in loop.moving_limits] for variable in variables])
+    return np.tile((moves & np.isfinite(np.stack(ends, axis=1))).ravel(), rows)
 
 
 def further_signals(loop: Loop, horizon: int) -> list[Variable]:

@@ -78,7 +78,7 @@ def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[
         if loop.moving_limits:
             bounds = replace(bounds, u_min=trace.input_limits[k, :, 0], u_max=trace.input_limits[k, :, 1])
         decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), bounds)
-        told = Observation(loop, horizon).of(sample)
+        told = Observation(loop, horizon).with_all_limits(sample)
         yield [int(begins), *told.tolist(), *decision.u.tolist(), int(decision.status != OK)]
 
 

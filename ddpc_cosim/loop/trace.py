@@ -258,10 +258,13 @@ class Trace:
             A metric of a third party fails; its value is NaN.
         """
         settings = settings or MetricSettings(self.preview)
-        h = self.sampling_time
+        rows, h = slice(0, self.held), self.sampling_time
         table = compute_metrics(
             self._responses(settings),
-            self.actuations,
+            [
+                Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
+                for i, variable in enumerate(self.inputs)
+            ],
             self.paid,
             StepTimes(self.solve_time, h, self.failures, len(self), settings.key_figures is not None),
             settings.cost,
@@ -318,15 +321,6 @@ class Trace:
             values = courses[name][: self.held]
             moves[1:] |= np.abs(np.diff(values)) > 1e-9 * np.ptp(values) if len(values) else False
         return moves
-
-    @property
-    def actuations(self) -> list[Actuation]:
-        """The inputs over the held samples."""
-        rows, h = slice(0, self.held), self.sampling_time
-        return [
-            Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
-            for i, variable in enumerate(self.inputs)
-        ]
 
     @property
     def paid(self) -> Charged | None:

@@ -319,7 +319,7 @@ def test_several_at_once(make_fmu: Callable[..., Path], tmp_path: Path, context:
     try:
         envs.reset(seed=[1, 2])
         ended = np.zeros(2)
-        for _ in range(12):
+        for _ in range(14):
             _, _, terminated, truncated, _ = envs.step(np.zeros((2, 1)))
             ended += terminated + 10 * truncated
         assert ended.tolist() == [2.0, 10.0]
