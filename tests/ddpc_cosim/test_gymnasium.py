@@ -31,6 +31,7 @@ from ddpc_cosim import (
     Steps,
     Study,
     Trace,
+    UniformRandom,
     Variable,
 )
 from ddpc_cosim.gymnasium import ProblemEnv, SavedState, make
@@ -147,6 +148,7 @@ def disturbed() -> Problem:
         duration=2.0,
         reference=Steps([0, 0.5], [0.0, 0.3]),
         bounds={"torque": (-3.5, 3.5)},
+        excitation=UniformRandom(-1.0, 1.0, samples=30),
         parameters={"mass": Normal(1.0, 0.1, low=0.5)},
         noise=GaussianNoise({"angle": 0.01}),
         conditions=Conditions(
