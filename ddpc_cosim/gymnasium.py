@@ -122,7 +122,8 @@ def _of_no_controller(case: Case, isolated: bool | Literal["auto"]) -> Case:
         plant = plant.isolating(how)
     section = {"type": "", "settings": {}}
     case = replace(case, controller="environment", section=section, bounds=case.shared_bounds, plant=plant)
-    return case if case.continue_recording else without_experiment(case)
+    # The noise of a run goes on from that of its experiment, whoever learns from it.
+    return case if case.continue_recording or case.noise else without_experiment(case)
 
 
 class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
