@@ -36,7 +36,7 @@ from .errors import (
     PluginError as PluginError,
     StepStatus as StepStatus,
 )
-from .exporting import export_controller as export_controller, further_signals as further_signals
+from .exporting import export_controller as export_controller
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
 from .identification.identification import Identification as Identification
@@ -49,6 +49,7 @@ from .loop.rollouts import rollout as rollout
 from .loop.trace import Outcome as Outcome, Trace as Trace
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .monomials import Monomials as Monomials
+from .observation import Observation as Observation, further_signals as further_signals
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .plugins import study_folder as study_folder
 from .replaying import Difference as Difference, Replay as Replay, replay as replay

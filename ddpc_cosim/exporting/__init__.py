@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.controller import Controller, Loop, further_arguments
+from ddpc_cosim.controller import Controller, Loop
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.loop.safe_calls import controller_code, controller_settings, horizon_of, learns_from_recording
+from ddpc_cosim.observation import Observation
 from ddpc_cosim.study.case_files import sealed_json
 from ddpc_cosim.study.running.provenance import versions
 from ddpc_cosim.variables import Variable, names
@@ -18,16 +19,6 @@ from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportError, ExportUsageError, identifier
 
 _RESOURCE = "controller.json"
-_KINDS = {
-    "disturbance": "Measured value",
-    "forecast": "Forecast",
-    "lower": "Lower edge of the band",
-    "upper": "Upper edge of the band",
-    "price": "Price",
-    "min": "Lower limit",
-    "max": "Upper limit",
-}
-_AHEAD = ("now", "at the next sample")
 
 
 def export_controller(
@@ -120,18 +111,7 @@ def block_of(
     """
     code = controller_code(controller, loop)
     bounds, recording = loop.bounds, loop.recording if learns_from_recording(controller) else None
-    controlled = names(loop.outputs)
-    others = [variable for variable in loop.measurements if variable.name not in controlled]
-    preview = min(loop.preview, horizon_of(controller))
-    references = [
-        _scalar(
-            variable,
-            name=f"reference.{variable.name}[{k}]" if k else f"setpoint.{variable.name}",
-            description=f"Reference of {variable.name} " + (f"{k} samples ahead" if k > 1 else _AHEAD[k]),
-        )
-        for k in range(preview + 1)
-        for variable in loop.outputs
-    ] + further_signals(loop, horizon_of(controller))
+    observation = Observation(loop, horizon_of(controller))
     controls = [
         _scalar(variable, min=float(low), max=float(high))
         for variable, low, high in zip(loop.inputs, bounds.u_min, bounds.u_max, strict=True)
@@ -143,8 +123,8 @@ def block_of(
         "class": f"{kind.__module__}:{kind.__qualname__}",
         "settings": controller_settings(controller),
         "sampling_time": loop.sampling_time,
-        "preview": preview,
-        "measurements": [*controlled, *names(others)],
+        "preview": min(loop.preview, horizon_of(controller)),
+        "measurements": names(observation.measurements),
         "inputs": names(loop.inputs),
         "recording": recording and {"sha256": recording.digest, "samples": len(recording)},
         "status": {str(bit): text for bit, text in code.statuses.items()},
@@ -160,68 +140,14 @@ def block_of(
         identifier(name),
         f"{kind.__name__}{where}{learned}: sampled every {loop.sampling_time:g} s",
         loop.sampling_time,
-        [_scalar(variable) for variable in (*loop.outputs, *others)],
-        references,
+        list(map(_scalar, observation.measurements)),
+        [*map(_scalar, observation.references), *observation.further],
         controls,
         code.sources,
         follows=code.follows,
     )
     resource["hand_over"] = block.hand_over()
     return replace(block, resources={_RESOURCE: sealed_json(resource).decode(), **(resources or {})})
-
-
-def further_signals(loop: Loop, horizon: int) -> list[Variable]:
-    """Return the inputs of the FMU that :func:`ddpc_cosim.further_arguments` lists, one after another.
-
-    They are called ``disturbance.NAME`` and ``forecast.NAME[k]``, that in k samples; ``lower.NAME`` and
-    ``upper.NAME`` of a band, ``price.NAME``, and ``min.NAME`` and ``max.NAME`` of limits, now, and with
-    ``[k]`` in k samples. What is ahead starts as NaN, which is not known: where it is not connected the row
-    before holds.
-
-    Parameters
-    ----------
-    loop : Loop
-        The loop that the controller was started with.
-    horizon : int
-        The controller's.
-    """
-    prices = [Variable(c.name, f"{c.unit}/{c.amount}", description="Price") for c in loop.charges]
-    bounds, standing = loop.bounds, {"price": np.zeros((len(prices), 1))}
-    standing["disturbance"] = np.array([[variable.start] for variable in loop.disturbances])
-    standing["input_limits"] = np.stack([bounds.u_min, bounds.u_max], axis=1)
-    standing["output_limits"] = np.stack([bounds.y_min, bounds.y_max], axis=1)
-    of_field: dict[str, tuple[Sequence[Variable], Sequence[str], int]] = {
-        "disturbance": (loop.disturbances, ("disturbance",), 0),
-        "forecast": (loop.disturbances, ("forecast",), 1),
-        "band_now": (loop.outputs, ("lower", "upper"), 0),
-        "band": (loop.outputs, ("lower", "upper"), 1),
-        "price": (prices, ("price",), 0),
-        "input_limits": (loop.inputs, ("min", "max"), 0),
-        "output_limits": (loop.outputs, ("min", "max"), 1),
-    }
-    signals = []
-    for field, shape in further_arguments(loop, horizon).items():
-        variables, kinds, first = of_field[field]
-        rows = 1 if field in ("disturbance", "band_now") else shape[0]
-        for row in range(rows):
-            for number, variable in enumerate(variables):
-                for side, kind in enumerate(kinds):
-                    start = float(standing[field][number, side]) if field in standing and not row else np.nan
-                    signals.append(_ahead_of(variable, kind, row + first, start))
-    return signals
-
-
-def _ahead_of(variable: Variable, kind: str, k: int, start: float) -> Variable:
-    """Return what is known of a signal in k samples as a variable of the FMU."""
-    when = f"{k} samples ahead" if k > 1 else _AHEAD[k]
-    return replace(
-        variable,
-        name=f"{kind}.{variable.name}[{k}]" if k else f"{kind}.{variable.name}",
-        description=f"{_KINDS[kind]} of {variable.name} {when}",
-        min=-np.inf,
-        max=np.inf,
-        start=start if np.isfinite(start) else np.nan,
-    )
 
 
 def write_block(

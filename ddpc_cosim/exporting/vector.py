@@ -18,6 +18,7 @@ from ddpc_cosim.controller import OK, Controller, Loop, Sample, further_argument
 from ddpc_cosim.files.tables import write_rows
 from ddpc_cosim.loop.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
 from ddpc_cosim.loop.trace import Trace
+from ddpc_cosim.observation import Observation
 from ddpc_cosim.variables import FloatArray, names
 from fmu_plants.export.sampled_block import SampledBlock
 
@@ -51,7 +52,7 @@ def vector_of(block: SampledBlock, make: Callable[[], Controller], loop: Loop, t
 
 
 def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[list[float | int]]:
-    seen, others = _measured(loop, trace)
+    seen = _measured(loop, trace)
     for k in range(min(SAMPLES, len(trace))):
         begins = k % _FROM_A_START == 0
         if begins:
@@ -77,11 +78,8 @@ def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[
         if loop.moving_limits:
             bounds = replace(bounds, u_min=trace.input_limits[k, :, 0], u_max=trace.input_limits[k, :, 1])
         decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), bounds)
-        y = [*seen[k].tolist(), *trace.measured[k][others].tolist()]
-        r = [*trace.reference[k].tolist(), *wanted[:preview].ravel().tolist()]
-        for name, shape in further.items():
-            r += getattr(sample, name)[: shape[0]].ravel().tolist()
-        yield [int(begins), *y, *r, *decision.u.tolist(), int(decision.status != OK)]
+        told = Observation(loop, horizon).with_all_limits(sample)
+        yield [int(begins), *told.tolist(), *decision.u.tolist(), int(decision.status != OK)]
 
 
 def _ahead(
@@ -100,11 +98,11 @@ def _ahead(
     return {name: fields[name][0][fields[name][1]] for name in further}
 
 
-def _measured(loop: Loop, trace: Trace) -> tuple[FloatArray, list[int]]:
-    """Return the controlled outputs as measured, shape (K, p), and which measurements are others."""
+def _measured(loop: Loop, trace: Trace) -> FloatArray:
+    """Return the controlled outputs as measured, shape (K, p)."""
     outputs, measurements = names(loop.outputs), names(loop.measurements)
     seen = trace.y.copy()
     for i, name in enumerate(outputs):
         if name in measurements:
             seen[:, i] = trace.measured[:, measurements.index(name)]
-    return seen, [j for j, name in enumerate(measurements) if name not in outputs]
+    return seen

@@ -7,11 +7,11 @@ inputs until the next sample. The experiment that records data is the same loop 
 
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from functools import wraps
 from math import inf
 from types import MappingProxyType
-from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ddpc_cosim.loop.data_quality import recording_warnings
 from ddpc_cosim.loop.outlook import Limit, Outlook, Wanted
 from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.loop.safe_calls import (
+    Decision,
     NotFiniteError,
     ask_controller,
     clip_inputs,
@@ -55,6 +56,7 @@ from ddpc_cosim.loop.setup import (
     STABILISER_STREAM,
     WARM_UP_STREAM,
     LoopSetup,
+    Measured,
     check_events,
     check_kinds,
     end_time,
@@ -177,7 +179,60 @@ def _on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
     return limited
 
 
-@_on_one_thread
+Question = tuple[Controller, Sample, int]
+"""Who is asked what at a sample, and for how many inputs."""
+Steps = Generator[Question, Decision, T]
+"""A run that stops at every sample until it is told what was decided there."""
+
+
+def answer(run: Steps[Any], question: Question) -> Question:
+    """Ask the controller, let the run go on with what it decides, and return what that asks next.
+
+    Raises
+    ------
+    StopIteration
+        The run has ended, with its result.
+    """
+    try:
+        decision = ask_controller(*question)
+    except ControllerError as error:
+        return run.throw(error)
+    return run.send(decision)
+
+
+def _driven(run: Steps[T]) -> T:
+    """Run to the end, by what controllers decide, and return the result."""
+    try:
+        question = next(run)
+        while True:
+            question = answer(run, question)
+    except StopIteration as end:
+        return cast("T", end.value)
+
+
+class Driven(Protocol[P, T]):
+    """A run that asks its controller by itself; as ``stepwise`` it leaves that to the caller."""
+
+    stepwise: Callable[P, Steps[T]]
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run to the end and return the result."""
+
+
+def _by_itself(stepwise: Callable[P, Steps[T]]) -> Driven[P, T]:
+    """Have a run that stops at every sample ask its controller by itself."""
+
+    @wraps(stepwise)
+    @_on_one_thread
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        return _driven(stepwise(*args, **kwargs))
+
+    driven = cast("Any", run)
+    driven.stepwise = stepwise
+    return cast("Driven[P, T]", driven)
+
+
+@_by_itself
 def cosimulate(
     plant: Plant,
     controller: Controller | None,
@@ -212,7 +267,7 @@ def cosimulate(
     keeps_state: bool = False,
     store: RowStore | None = None,
     engine: Engine | None = None,
-) -> Trace:
+) -> Steps[Trace]:
     """Run one closed loop of a plant and a controller.
 
     Parameters
@@ -414,7 +469,9 @@ def cosimulate(
     if conditions is not None and conditions.loses:
         setup.hand_over(accepts_missing=does_accept_missing(controller))
     rows.look(setup.outlook(wish, limits, time, first, samples, horizon, loop.preview))
-    outcome, reason, transient = _closed_loop(setup, controller, loop, rows, y_plant, events, first, engine)
+    outcome, reason, transient = yield from _closed_loop(
+        setup, controller, loop, rows, y_plant, events, first, engine
+    )
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
     except ControllerError as error:
@@ -695,7 +752,7 @@ def _run_before(
 ) -> FloatArray:
     """Run what comes before the closed loop, whose faults are errors; return the plant's outputs after it."""
     try:
-        return _run(setup, controller, loop, rows, y_plant, hold_last=True, engine=engine)
+        return _driven(_run(setup, controller, loop, rows, y_plant, hold_last=True, engine=engine))
     except NotFiniteError as error:
         when = f"at t = {shown(rows.next_time)}"
         raise DivergenceError(f"the plant diverged during the {kind or what}, {when}: {error}") from error
@@ -786,11 +843,10 @@ class _Rows:
         """Time of the row to be written next [s], which may be one after the last."""
         return float(self.time[0]) + self.count * self._setup.sampling_time
 
-    def write(self, k: int, first: int, controller: Controller, y_plant: FloatArray) -> FloatArray:
-        """Measure the plant at sample k, let the controller decide, and keep both in row k.
+    def begin(self, k: int, first: int, y_plant: FloatArray) -> tuple[Sample, Measured]:
+        """Measure the plant at sample k, keep that in row k, and return what a controller sees of it.
 
-        Returns what the plant is to hold until the next sample, a value for each of its inputs. The sample is
-        that of number ``first`` + k since the plant was set up.
+        The sample is that of number ``first`` + k since the plant was set up.
         """
         setup, store, outlook = self._setup, self.store, self.outlook
         measured = setup.measure(first + k, y_plant)
@@ -800,7 +856,7 @@ class _Rows:
         if disturbance.size:
             store.more["d"][k] = disturbance
         if setup.charged.charges:
-            store.more["charged"][k] = np.nan
+            store.more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
         if self._intersample is not None:
@@ -813,8 +869,17 @@ class _Rows:
         sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, disturbance)
         if self._forecast is not None:
             self._keep_forecast(k, sample.forecast)
-        decision = ask_controller(controller, sample, store.u.shape[1]).with_status(measured.status)
-        held = clip_inputs(decision, outlook.bounds(k))
+        return sample, measured
+
+    def complete(
+        self, k: int, first: int, controller: Controller, measured: Measured, decision: Decision
+    ) -> FloatArray:
+        """Complete row k with what was decided, and return what the plant is to hold until the next sample.
+
+        That is a value for each of its inputs.
+        """
+        setup, store = self._setup, self.store
+        held = clip_inputs(decision.with_status(measured.status), self.outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
             store.more["charged"][k] = setup.charged.amounts(controller, applied, measured.all_outputs)
@@ -859,13 +924,13 @@ def _closed_loop(
     events: Sequence[ParameterChange],
     first: int,
     engine: Engine | None,
-) -> tuple[Outcome, str, bool]:
+) -> Steps[tuple[Outcome, str, bool]]:
     """Run to the end and return how it ended, why, and whether that is the machine's fault.
 
     Faults during the run are outcomes, not exceptions.
     """
     try:
-        _run(setup, controller, loop, rows, y_plant, events=events, first=first, engine=engine)
+        yield from _run(setup, controller, loop, rows, y_plant, events=events, first=first, engine=engine)
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
@@ -890,13 +955,13 @@ def _run(
     hold_last: bool = False,
     first: int = 0,
     engine: Engine | None = None,
-) -> FloatArray:
+) -> Steps[FloatArray]:
     """Run sample by sample and return the plant's last outputs: those of the last row, or after it.
 
     ``first`` is the number of its first sample since the plant was set up.
     """
     plant, h, last = setup.plant, setup.communication_step, len(rows.time) - 1
-    pending = deque(sorted(events, key=lambda event: event.time))
+    pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
     for k, time in enumerate(rows.time):
@@ -907,7 +972,9 @@ def _run(
                 end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
                 y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
             continue
-        applied = rows.write(k, first, controller, y_plant)
+        sample, measured = rows.begin(k, first, y_plant)
+        decision = yield controller, sample, inputs
+        applied = rows.complete(k, first, controller, measured, decision)
         if k < last or hold_last:
             for i in range(setup.substeps):
                 y_plant = step_plant(plant, applied, h, time + i * h)

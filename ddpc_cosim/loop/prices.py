@@ -80,6 +80,10 @@ class ChargedSignals:
         """The prices over time, by what errors call them."""
         return {f"prices: {name}": price.price for name, price in self.prices.items()}
 
+    def of_outputs(self, outputs: FloatArray) -> FloatArray:
+        """Return what the plant has of each, shape (n_prices,): NaN of inputs, which are not known yet."""
+        return np.array([np.nan if is_input else outputs[i] for is_input, i in self._places])
+
     def amounts(self, controller: Controller, applied: FloatArray, outputs: FloatArray) -> FloatArray:
         """Return what the plant has of each, given all its inputs and outputs, shape (n_prices,).
 

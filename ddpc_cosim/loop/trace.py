@@ -265,7 +265,7 @@ class Trace:
                 Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
                 for i, variable in enumerate(self.inputs)
             ],
-            self._charged(),
+            self.paid,
             StepTimes(self.solve_time, h, self.failures, len(self), settings.key_figures is not None),
             settings.cost,
             self._key_figures(settings.key_figures),
@@ -322,8 +322,9 @@ class Trace:
             moves[1:] |= np.abs(np.diff(values)) > 1e-9 * np.ptp(values) if len(values) else False
         return moves
 
-    def _charged(self) -> Charged | None:
-        """Return what is paid for; None without prices."""
+    @property
+    def paid(self) -> Charged | None:
+        """What is paid for; None without prices."""
         if not self.charges:
             return None
         held = {*names(self.inputs), *names(self.changed_inputs)}

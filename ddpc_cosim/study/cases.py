@@ -33,6 +33,7 @@ from ddpc_cosim.loop.master import (
     Engine,
     NeedsPythonError,
     Resumption,
+    Steps,
     cosimulate,
 )
 from ddpc_cosim.loop.outlook import Limit, Limits, intersample_signals, table_widths
@@ -406,12 +407,28 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
         bounds=first.shared_bounds,  # its own would be those of whichever controller comes first
     )
     if not case.continue_recording:
-        case = replace(case, excitation=None, recording=None, stabiliser=None)
-        case = replace(case, recorded_disturbances={}, recording_start=None)
+        case = without_experiment(case)
     digest = case.recording.digest if case.recording else None
     shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
     for seed, of_seed in driven.items():
         yield _with_seed(case, seed, of_seed.parameters, case.name_with(seed), shared)
+
+
+def without_experiment(case: Case) -> Case:
+    """Return a case without an experiment and without logged data."""
+    case = replace(case, excitation=None, recording=None, stabiliser=None)
+    return replace(case, recorded_disturbances={}, recording_start=None)
+
+
+def with_seed(case: Case, resolved: "ResolvedStudy", seed: int) -> Case:
+    """Return a case of a study with another seed and the plant that it draws.
+
+    A plant that is drawn as one of many is that of the study's own case, where the seed is one of its seeds.
+    """
+    seeds = resolved.study.seeds
+    among = seeds if seed in seeds else [seed]
+    parameters = _drawn(resolved, resolved.study.scenarios[case.scenario], among)[seed]
+    return replace(case, seed=seed, parameters=parameters)
 
 
 def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
@@ -584,7 +601,7 @@ def _loaded(case: Case, kept: ExitStack) -> Plant:
     from ddpc_cosim.fmu.library import kept_loaded
     from ddpc_cosim.fmu.plant import FMUPlant
 
-    plant = _open(case)
+    plant = open_plant(case)
     kept.callback(plant.close)
     assert isinstance(plant, FMUPlant)
     kept.enter_context(kept_loaded(plant.library))
@@ -615,7 +632,7 @@ def started(case: Case) -> tuple[Controller, Loop]:
     """
     controller = controller_of(case)
     only_started = _OnlyStarted(controller)
-    plant = _open(case)
+    plant = open_plant(case)
     try:
         with suppress(_StartedError):
             _close_the_loop(case, plant, only_started, None)
@@ -663,7 +680,14 @@ class _OnlyStarted(Controller):
         raise AssertionError
 
 
-def _open(case: Case) -> Plant:
+def open_plant(case: Case) -> Plant:
+    """Open the plant of a case, with the signals that take part.
+
+    Raises
+    ------
+    CosimError
+        It cannot be opened.
+    """
     read = (*names(case.outputs), *names(case.measurements), *names(case.read))
     signals = names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read))
     return case.plant.open(*signals, case.seed, records=case.excitation is not None)
@@ -675,7 +699,7 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
     if case.replayed is not None:
         return _replay(case, case.replayed, store)
     try:
-        plant = _open(case)
+        plant = open_plant(case)
     except CosimError as error:
         return _not_begun(case, error)
     try:
@@ -736,42 +760,53 @@ def _close_the_loop(
     store: RowStore | None,
     engine: Engine | None = None,
 ) -> Trace:
+    trace = cosimulate(plant, controller, store=store, engine=engine, **_arguments(case))
+    return _with_data(case, trace)
+
+
+def stepwise(case: Case, plant: Plant, controller: Controller, store: RowStore) -> Steps[Trace]:
+    """Run a case with a plant and a controller that are made already, stopping at every sample."""
+    trace = yield from cosimulate.stepwise(plant, controller, store=store, **_arguments(case))
+    return _with_remarks(case, _with_data(case, trace))
+
+
+def _arguments(case: Case) -> dict[str, Any]:
+    """Return what a case says of its loop, as :func:`cosimulate` takes it."""
     warm_up = case.warm_up_controller
-    warm_up_controller = None if warm_up is None else _controller(warm_up, case.plant)
-    trace = cosimulate(
-        plant,
-        controller,
-        sampling_time=case.sampling_time,
-        duration=case.duration,
-        reference=case.reference,
-        excitation=case.excitation and case.excitation.with_seed(case.seed),
-        recording=case.recording,
-        stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
-        bounds=case.bounds,
-        outputs=names(case.outputs),
-        measurements=names(case.measurements),
-        parameters=case.parameters,
-        noise=GaussianNoise(case.noise, case.noise_mixture) if case.noise else None,
-        conditions=case.conditions,
-        events=case.events,
-        preview=case.preview,
-        seed=case.seed,
-        start_time=case.start_time,
-        continue_recording=case.continue_recording,
-        disturbances=case.disturbances,
-        recorded_disturbances=case.recorded_disturbances,
-        recording_start=case.recording_start,
-        forecast_horizon=case.forecast_horizon,
-        prices=case.prices,
-        monitors=case.monitors,
-        communication_step=case.communication_step,
-        warm_up=case.warm_up,
-        warm_up_controller=warm_up_controller,
-        resumed=case.resumed,
-        keeps_state=case.keeps_state,
-        store=store,
-        engine=engine,
-    )
+    return {
+        "sampling_time": case.sampling_time,
+        "duration": case.duration,
+        "reference": case.reference,
+        "excitation": case.excitation and case.excitation.with_seed(case.seed),
+        "recording": case.recording,
+        "stabiliser": _controller(case.stabiliser, case.plant) if case.stabiliser else None,
+        "bounds": case.bounds,
+        "outputs": names(case.outputs),
+        "measurements": names(case.measurements),
+        "parameters": case.parameters,
+        "noise": GaussianNoise(case.noise, case.noise_mixture) if case.noise else None,
+        "conditions": case.conditions,
+        "events": case.events,
+        "preview": case.preview,
+        "seed": case.seed,
+        "start_time": case.start_time,
+        "continue_recording": case.continue_recording,
+        "disturbances": case.disturbances,
+        "recorded_disturbances": case.recorded_disturbances,
+        "recording_start": case.recording_start,
+        "forecast_horizon": case.forecast_horizon,
+        "prices": case.prices,
+        "monitors": case.monitors,
+        "communication_step": case.communication_step,
+        "warm_up": case.warm_up,
+        "warm_up_controller": None if warm_up is None else _controller(warm_up, case.plant),
+        "resumed": case.resumed,
+        "keeps_state": case.keeps_state,
+    }
+
+
+def _with_data(case: Case, trace: Trace) -> Trace:
+    """Return a trace with what its case says of the data and of its beginning."""
     provenance = dict(trace.provenance)
     if case.recording is not None and case.recording.treatments:
         provenance[LOGGED_DATA] = ", ".join(case.recording.treatments)

@@ -795,8 +795,13 @@ class Study:
         with display(f"starting {self.name}") as following:
             return rare_event(figures, len(spread), sign * beyond, **how, tell=following.prepare)
 
-    def resolved(self) -> ResolvedProblems:
+    def resolved(self, problem: str | None = None) -> ResolvedProblems:
         """Return the study, checked, as commands read it.
+
+        Parameters
+        ----------
+        problem : str or None
+            The only one of its problems that is wanted; default: all.
 
         Raises
         ------
@@ -804,10 +809,10 @@ class Study:
             Everything in the study that does not fit.
         """
         if not self._recordings:
-            return resolve_file(self._file)
+            return resolve_file(self._file, problem)
         with ScratchFolder() as folder:  # what lies there has been read then
             self._write_recordings(folder)
-            return resolve_file(replace(self._file, folder=folder))
+            return resolve_file(replace(self._file, folder=folder), problem)
 
     def _write_recordings(self, folder: Path) -> None:
         for name, problem in self._recordings.items():

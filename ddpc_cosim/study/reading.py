@@ -20,19 +20,27 @@ from ddpc_cosim.study.problems import FlatStudy, flat_studies, has_key
 from ddpc_cosim.study.resolve import Limits, ResolvedProblems, ResolvedStudy, StudyCache, resolve
 from ddpc_cosim.study.variants import with_variants
 from ddpc_cosim.variables import FloatArray
+from fmu_plants.spelling import did_you_mean
 
 _MOST_LISTED = 4
 
 
-def read_study(name: str) -> ResolvedProblems:
+def read_study(name: str, problem: str | None = None) -> ResolvedProblems:
     """Read a study file, or a built-in or plug-in study by name, and resolve it.
+
+    Parameters
+    ----------
+    name : str
+        The file or the name.
+    problem : str or None
+        The only one of its problems that is wanted; default: all.
 
     Raises
     ------
     ConfigError
         There is no such study, or it has errors: all of them, each with file, line, key and what to do.
     """
-    return resolve_file(read_file(name))
+    return resolve_file(read_file(name), problem)
 
 
 def read_file(name: str) -> StudyFile:
@@ -51,8 +59,8 @@ def read_file(name: str) -> StudyFile:
     return file
 
 
-def resolve_file(file: StudyFile) -> ResolvedProblems:
-    """Resolve each problem of a study.
+def resolve_file(file: StudyFile, problem: str | None = None) -> ResolvedProblems:
+    """Resolve each problem of a study, or the one that is named.
 
     Raises
     ------
@@ -69,6 +77,11 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         head = read_in(StudyHead, head_tables, file.folder, common)
     if SWEEP in tables:
         parts = list(with_variants(parts, tables[SWEEP], common))
+    if problem is not None:
+        known = [str(part.tables["name"]) for part in parts]
+        if problem not in known:
+            raise ConfigError(f'the study has no problem "{problem}"; {did_you_mean(problem, known)}')
+        parts = [part for part in parts if part.tables["name"] == problem]
     # Where each error stands, and in which problems: one in what they share is reported once.
     faults: dict[Fault, list[str]] = {fault: [] for fault in file.faults}
     problems = dict[str, ResolvedStudy]()

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
+from onnx_files import write_linear_law
 
 from ddpc_controllers import (
     MFAPC,
@@ -18,6 +20,7 @@ from ddpc_controllers import (
     FMUController,
     Group,
     OffsetFree,
+    Policy,
     Scaled,
 )
 from ddpc_cosim import Controller, export_controller
@@ -50,12 +53,19 @@ def exported() -> str:
     return str(export_controller(controller, loop, cache_dir() / "pid.fmu"))
 
 
+@cache
+def proportional() -> str:
+    """Return the file of a proportional law for the plant that all are tried on."""
+    return str(write_linear_law(cache_dir() / "proportional.onnx", np.array([[-1.0, 1.0]])))
+
+
 WRAPPERS: dict[str, Callable[[], Controller]] = {
     "band-edge": lambda: BandEdge(controller=SPC()),
     "decentralised": two_loops,
     "fmu": lambda: FMUController(file=exported()),
     "nmpc": lambda: NMPC(model=f"{plant_models.__name__}:REFERENCE", horizon=5),
     "offset-free": lambda: OffsetFree(controller=WKPC()),
+    "policy": lambda: Policy(file=proportional(), horizon=0),
     "scaled": lambda: Scaled(controller=DeePC()),
 }
 

@@ -64,7 +64,7 @@ def closed(case: Case, kind: type[Beside], drives: bool) -> tuple[Beside, FloatA
     """Close the loop of a case with its controller and another one beside it; return both and the inputs."""
     controller = cases._controller(case.section, case.plant)
     assert controller is not None
-    beside, plant = kind(controller=controller, drives=drives), cases._open(case)
+    beside, plant = kind(controller=controller, drives=drives), cases.open_plant(case)
     try:
         trace = cases._close_the_loop(case, plant, beside, None)
     finally:

@@ -16,6 +16,7 @@ from fmus.builder import (
     write_archive,
     write_fmu,
 )
+from gymnasium.utils.env_checker import check_env
 from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import (
@@ -30,6 +31,7 @@ from ddpc_cosim import (
     load_results,
     simulate,
 )
+from ddpc_cosim.gymnasium import make as make_environment
 from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import run_case
 from ddpc_cosim.study.reading import read_study
@@ -349,6 +351,23 @@ def test_an_archive_in_a_study(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.y, 2.25)
     plant["parts"] = [{"name": "c"}]
     assert 'plant.ssp: parts: no part "c" in the SSP' in faults(tmp_path, study(plant))
+
+
+@pytest.mark.filterwarnings("ignore:.*A Box observation space m(in|ax)imum value is")
+def test_an_archive_is_an_environment(tmp_path: Path) -> None:
+    """What acts there drives its connectors, and its parts step as in a study."""
+    part = component("a", "resources/gain.fmu", "input u, output y")
+    wires = connection("in", "a/u") + connection("a/y", "out")
+    described = ssd(system("s", part, connections=wires, connectors="input in, output out"))
+    write_ssp(tmp_path / "one.ssp", described, {"resources/gain.fmu": GAIN})
+    plant = {"ssp": "one.ssp", "outputs": ["out"], "parameters": {"a.k": 2.0}, "isolated": False}
+    bounds = {"in": {"min": -1.0, "max": 1.0}}
+    env = make_environment(write(tmp_path, study(plant, bounds=bounds)))
+    check_env(env, skip_render_check=True)
+    env.reset(seed=0)
+    observation, *_ = env.step(np.array([0.5]))
+    np.testing.assert_allclose(observation[0], 1.0)
+    env.close()
 
 
 def test_an_archive_is_simulated_in_open_loop(tmp_path: Path) -> None:
