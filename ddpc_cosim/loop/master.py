@@ -899,13 +899,15 @@ def _run(
     pending = deque(sorted(events, key=lambda event: event.time))
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
+    end = 0
     for k, time in enumerate(rows.time):
+        if k < end:  # another engine has run it
+            continue
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
         if elsewhere is not None:
-            if k == rows.count:
-                end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
-                y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
+            end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
+            y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
             continue
         applied = rows.write(k, first, controller, y_plant)
         if k < last or hold_last:
