@@ -145,8 +145,14 @@ class RunOfEngine(Protocol):
         """
 
 
-Engine = Callable[[Run], RunOfEngine | None]
-"""Takes up a run, or returns None, and the run is made here."""
+class Engine(Protocol):
+    """Takes up runs in place of this module's own loop."""
+
+    def start(self, controller: Controller, loop: Loop) -> None:
+        """Start a controller, as :func:`ddpc_cosim.loop.safe_calls.start_controller` does."""
+
+    def __call__(self, run: Run) -> RunOfEngine | None:
+        """Take up a run, or return None, and it is made here."""
 
 
 class NeedsPythonError(Exception):
@@ -402,7 +408,8 @@ def cosimulate(
         continues=continue_recording,
         past=past,
     )
-    start_controller(controller, loop)
+    start = engine.start if engine else start_controller
+    start(controller, loop)
     settings = controller_settings(controller)
     knowledge = controller_knowledge(controller, loop)
     warnings = recording_warnings(loop, wish.reference) if learns else ()
