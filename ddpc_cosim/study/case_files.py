@@ -221,10 +221,11 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
     head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
     warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
     transient = run["transient"] or outcome in _TRANSIENT
+    numbers = Numbers.of if batched else _numbers
     return CaseResult(
         **head,
-        metrics=Numbers.of(run["metrics"]),
-        diagnostics=Numbers.of(run["diagnostics"]),
+        metrics=numbers(run["metrics"]),
+        diagnostics=numbers(run["diagnostics"]),
         settings=run["settings"],
         tracking=tuple(map(Tracking.read, run["tracking"])),
         outcome=outcome,
@@ -236,7 +237,7 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
         simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
         versions=run.get("versions", {}),
         engine=str(run.get("engine", "")),
-        drawn=Numbers.of(run.get("drawn", {})),
+        drawn=numbers(run.get("drawn", {})),
         beyond_log=dict(run.get("beyond_log", {})),
         batched=batched,
     )
