@@ -5,7 +5,7 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import wraps
+from functools import cache, wraps
 from itertools import accumulate, pairwise
 from numbers import Integral
 from pathlib import Path
@@ -560,9 +560,8 @@ class Controller(ABC):
 
     def __new__(cls, *_: Any, **settings: Any) -> Self:
         """Make a controller; an unknown setting is told with the one that may be meant."""
-        known = list(inspect.signature(cls.__init__).parameters.values())[1:]
-        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known):
-            allowed = [parameter.name for parameter in known]
+        allowed = _keywords_of(cls)
+        if allowed is not None:
             unknown = [name for name in settings if name not in allowed]
             if unknown:
                 what = f"unknown setting of {cls.__name__}"
@@ -704,6 +703,15 @@ class Controller(ABC):
 
 
 _METHODS = (FunctionType, staticmethod, classmethod)
+
+
+@cache
+def _keywords_of(kind: type[Any]) -> Sequence[str] | None:
+    """Return by which keywords a class is made; None: by any."""
+    known = list(inspect.signature(kind.__init__).parameters.values())[1:]
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known):
+        return None
+    return [parameter.name for parameter in known]
 
 
 def _asks_for_disturbances(recording_length: Callable[..., Any]) -> bool:

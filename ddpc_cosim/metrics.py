@@ -215,16 +215,22 @@ def compute_metrics(
 ) -> dict[str, float]:
     """Return the built-in metrics of a run: of outputs, inputs, cost, payments, key figures and steps."""
     table: dict[str, float] = {}
-    registry = {name: metric for name, metric in METRICS.items() if name not in _third_parties().metrics}
+    others = tuple(_third_parties().metrics)
     whole = [WholeRun(responses, actuations, cost)] if cost else []
     of_run = [samples for samples in (charged, key_figures) if samples]
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
-            for name, metric in registry.items():
-                of_samples: Metric[Any] = metric
-                if isinstance(samples, metric.of) and of_samples.exists(samples):
-                    table[_key(name, metric.unit, samples)] = of_samples.compute(samples)
+            kind: Any = type(samples)
+            for name, metric in _built_in_of(kind, others).items():
+                if metric.exists(samples):
+                    table[_key(name, metric.unit, samples)] = metric.compute(samples)
     return table
+
+
+@cache
+def _built_in_of(kind: type[Any], others: Sequence[str]) -> Mapping[str, Metric[Any]]:
+    """Return the built-in metrics of samples of a class, by name, without those that others replace."""
+    return {name: m for name, m in METRICS.items() if name not in others and issubclass(kind, m.of)}
 
 
 def compute_installed_metrics(trace: Any) -> dict[str, float]:
@@ -319,6 +325,7 @@ def _key(name: str, unit: str, samples: Any) -> str:
     return f"{name} [{unit}]"
 
 
+@cache
 def _key_of_signal(name: str, unit: str, variable: Variable) -> str:
     shown = variable.shown_in.name
     units = {"difference": shown, "value": shown}

@@ -6,7 +6,7 @@ run ends, is left out.
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Self
@@ -348,12 +348,13 @@ class Tracking:
 
     def written(self) -> dict[str, Any]:
         """Return what :meth:`read` reads: what only bands and declared disturbances have, where they are."""
-        table = asdict(self)
+        table = {key: getattr(self, key) for key in self.__slots__}
         for key in ("width", "is_disturbed"):
             if table[key] is None or table[key] is False:
                 del table[key]
         table["ends"] = [
-            {key: value for key, value in end.items() if key != "disturbed" or value} for end in table["ends"]
+            {key: value for key in end.__slots__ if (value := getattr(end, key)) or key != "disturbed"}
+            for end in self.ends
         ]
         return table
 

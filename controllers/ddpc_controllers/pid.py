@@ -42,7 +42,7 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
-from ddpc_controllers.models.identification import choose_lags, fit_arx, never_moved
+from ddpc_controllers.models.identification import choose_lags, fit_arx, never_moved, one_step_errors
 from ddpc_controllers.models.virtual_reference import (
     ReferenceModel,
     filtered,
@@ -344,6 +344,8 @@ def _with_margin(
     time, gains = first, gains_of(first)
     slowed, reached = gains, sensitivity(plant, gains, h)
     is_beyond = reached > _LARGEST_SENSITIVITY
+    response = np.polyval(plant.numerator, _A_FEW) / np.polyval(plant.denominator, _A_FEW)
+    response /= _A_FEW**plant.delay
     while is_beyond:
         time *= slower
         if time > last:
@@ -351,8 +353,10 @@ def _with_margin(
             break
         slowed = gains_of(time)
         # A few frequencies tell of most that they are beyond it.
-        is_beyond = _peak(*_loops(plant, slowed, h), _A_FEW) > _LARGEST_SENSITIVITY
-        is_beyond = is_beyond or sensitivity(plant, slowed, h) > _LARGEST_SENSITIVITY
+        distance = np.abs(1.0 + response * _response(slowed, h, _A_FEW)).min()
+        is_beyond = distance * _LARGEST_SENSITIVITY < 1.0 or (
+            sensitivity(plant, slowed, h) > _LARGEST_SENSITIVITY
+        )
     if keeps_first or slowed is gains:
         return _TunedLoop(gains, reached, time)
     return _TunedLoop(slowed, sensitivity(plant, slowed, h), time)
@@ -380,26 +384,22 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
     sampling_time : float
         h [s].
     """
-    open_loop, closed_loop = _loops(model, gains, sampling_time)
+    open_loop, _, closed_loop = _closed(model, gains, sampling_time)
     poles = np.roots(closed_loop)
     if np.abs(poles).max() >= 1.0:
         return float("inf")
     # Peaks are as narrow as the poles near them are close to the circle.
     near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
-    return _peak(open_loop, closed_loop, np.exp(1j * np.append(_FREQUENCIES, near_poles)))
-
-
-def _peak(open_loop: FloatArray, closed_loop: FloatArray, z: NDArray[np.complex128]) -> float:
-    """Return the largest sensitivity of a loop at points of the unit circle."""
+    z = np.exp(1j * np.append(_FREQUENCIES, near_poles))
     return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
 
 
-def _loops(
-    model: PulseTransferFunction, gains: Sequence[float], sampling_time: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the denominators of the open and of the closed loop."""
-    open_loop, _, closed_loop = _closed(model, gains, sampling_time)
-    return open_loop, closed_loop
+def _response(gains: Sequence[float], h: float, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the frequency response of the controller at points of the unit circle, off 1."""
+    kp, ki, kd, filter_time = gains
+    difference = z - 1.0
+    derivative = kd * difference / ((filter_time + h) * z - filter_time)
+    return np.asarray(kp + h * ki * z / difference + derivative)
 
 
 def _closed(
@@ -455,8 +455,10 @@ def fit_second_order(
         for d in range(_LARGEST_DELAY + 1)
         if count_windows(samples, d + _LAGS + 1, recording.seams) >= equations
     ]
-    models = [fit_arx(_delayed(recording, output, d), _LAGS) for d in delays]
-    delay = delays[int(np.argmin([model.fit["one_step_error"] for model in models]))]
+    y = recording.y[:, [output]]
+    late = np.stack([_late(recording, d) for d in delays], axis=1)
+    alone = replace(recording, y=y, measured=y)
+    delay = delays[int(np.argmin(one_step_errors(alone, late, _LAGS)))]
     used = without_first(_delayed(recording, output, delay), delay)
     model = fit_arx(used, _LAGS)
     discrete = np.roots([1.0, *(-model.a[:, 0])])
@@ -539,13 +541,16 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
 
 
 def _delayed(recording: Recording, output: int, samples: int) -> Recording:
-    """Return one output, and inputs that come later; before, they were as at the beginning of each piece."""
-    u = [
-        np.vstack([np.repeat(piece.u[:1], samples, axis=0), piece.u])[: len(piece)]
-        for piece in recording.pieces
-    ]
+    """Return one output, and inputs that come later."""
     y = recording.y[:, [output]]
-    return replace(recording, u=np.vstack(u), y=y, measured=y)
+    return replace(recording, u=_late(recording, samples), y=y, measured=y)
+
+
+def _late(recording: Recording, samples: int) -> FloatArray:
+    """Return inputs that come later; before, they were as at the beginning of each piece."""
+    rows, begins = np.arange(len(recording)), np.array([0, *recording.seams])
+    begin = begins[np.searchsorted(begins, rows, side="right") - 1]
+    return np.asarray(recording.u[np.maximum(rows - samples, begin)])
 
 
 def _inverse_response(past_u: FloatArray, h: float) -> float:

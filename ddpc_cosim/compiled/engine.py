@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Sequence
 from ctypes import c_double, c_int64, c_void_p
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ from numpy.typing import NDArray
 from ddpc_cosim.compiled.program import NO_CONTROLLER, Program, effect_numbers, program_of
 from ddpc_cosim.conditions import HELD, all_conditions
 from ddpc_cosim.conditions.condition import Condition
-from ddpc_cosim.controller import OK, ControllerCode
+from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.co_simulation import StepInC
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.loop.master import ExcitingController, NeedsPythonError, Run
-from ddpc_cosim.loop.safe_calls import loadable_controller_code, require_finite
+from ddpc_cosim.loop.safe_calls import loadable_controller_code, require_finite, start_controller
 from ddpc_cosim.variables import FloatArray, names
 
 _DONE, _PLANT_FAILED = 0, 1
@@ -76,7 +77,10 @@ class _Progress(ctypes.Structure):
 
 
 class CompiledEngine:
-    """Takes up the runs of one case whose samples can be computed in C.
+    """Takes up the runs of cases, of one controller, whose samples can be computed in C.
+
+    A controller that is to be started in the same loop again, and does not look at its random numbers, is as
+    it was: nothing of it runs in Python in between.
 
     Attributes
     ----------
@@ -85,6 +89,20 @@ class CompiledEngine:
     """
 
     used = ""
+
+    def __init__(self) -> None:
+        self._started: tuple[Controller, Loop] | None = None
+        self._code: ControllerCode | None = None
+
+    def start(self, controller: Controller, loop: Loop) -> None:
+        """Start a controller, unless it still is as this would make it; errors as its own."""
+        if self._started and controller is self._started[0] and _are_same(loop, self._started[1]):
+            return
+        self._started = self._code = None
+        rng = _WatchedGenerator(loop.rng.bit_generator)
+        start_controller(controller, replace(loop, rng=rng))
+        if not rng.is_used:
+            self._started = controller, loop
 
     def __call__(self, run: Run) -> "CompiledRun | None":
         """Return a run that is ready to be advanced; None: something in it is known in Python only.
@@ -96,7 +114,15 @@ class CompiledEngine:
         """
         reason = reason_against(run)
         self.used = f"python: {reason}" if reason else "compiled"
-        return None if reason else CompiledRun(run)
+        if reason:
+            self._started = None
+            return None
+        if isinstance(run.controller, ExcitingController):
+            return CompiledRun(run, NO_CONTROLLER)
+        code = self._code or _code_of(run)
+        if self._started:
+            self._code = code
+        return CompiledRun(run, code)
 
 
 def reason_against(run: Run) -> str:
@@ -121,6 +147,27 @@ def reason_against(run: Run) -> str:
     return ", ".join([*(what for what, is_there in there.items() if is_there), *unknown])
 
 
+class _WatchedGenerator(np.random.Generator):
+    """Random numbers that know whether anybody has looked at them, or has copied them."""
+
+    is_used = False
+
+    def __getattribute__(self, name: str) -> Any:
+        if name != "is_used":
+            self.is_used = True
+        return super().__getattribute__(name)
+
+
+def _are_same(value: Any, other: Any) -> bool:
+    """Whether two loops, or what they consist of, are the same to a controller, random numbers aside."""
+    if isinstance(value, np.ndarray):
+        return isinstance(other, np.ndarray) and np.array_equal(value, other)
+    if is_dataclass(value) and type(value) is type(other):
+        names_of = (field.name for field in fields(value) if field.name != "rng")
+        return all(_are_same(getattr(value, name), getattr(other, name)) for name in names_of)
+    return bool(value == other)
+
+
 class CompiledRun:
     """A run whose samples are computed in C, a stretch of rows after the other.
 
@@ -128,6 +175,8 @@ class CompiledRun:
     ----------
     run : Run
         The run.
+    code : ControllerCode
+        That of its controller, or what stands in its place where inputs are given.
 
     Raises
     ------
@@ -135,11 +184,11 @@ class CompiledRun:
         The controller has no C code, or there is no compiler.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, code: ControllerCode) -> None:
         self._run, setup, store = run, run.setup, run.store
         rows = len(store.y)
         commands = run.controller.excitation if isinstance(run.controller, ExcitingController) else None
-        self._code = NO_CONTROLLER if commands is not None else _code_of(run)
+        self._code = code
         try:
             self._program: Program = program_of(self._code)
         except ConfigError as error:

@@ -106,7 +106,7 @@ class Program:
         return state
 
 
-_programs: dict[str, Program] = {}
+_programs: dict[frozenset[tuple[str, str]], Program] = {}
 
 
 def program_of(code: ControllerCode) -> Program:
@@ -117,9 +117,10 @@ def program_of(code: ControllerCode) -> Program:
     ConfigError
         There is no C compiler, or it does not compile this.
     """
-    sources = {**code.sources, **_own_sources()}
-    digest = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()
-    if digest not in _programs:
+    key = frozenset(code.sources.items())
+    if key not in _programs:
+        sources = {**code.sources, **_own_sources()}
+        digest = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()
         try:
             compiler = find_compiler()
             place = hashlib.sha256(
@@ -129,7 +130,7 @@ def program_of(code: ControllerCode) -> Program:
                 f"loops/{place[:16]}/loop{compiler.platform.suffix}",
                 lambda: compile_library(compiler, sources, _FUNCTIONS, keep_objects=True),
             )
-            _programs[digest] = Program(path)
+            _programs[key] = Program(path)
         except (ExportError, OSError) as error:  # in a sandbox the cache folder is not to be written to
             raise ConfigError(f"the loop cannot be compiled: {error}") from error
-    return _programs[digest]
+    return _programs[key]

@@ -79,6 +79,10 @@ class _TolerantLoading:
 
     def _loadFunctions(self) -> None:  # noqa: N802 - FMPy's name
         fmu: Any = self
+        known = _kept.get(fmu.dll._name) if fmu.trace_calls is None else None
+        if known:
+            fmu._functions = known
+            return
         # FMI 1.0 wants a prefix; later versions know it from static linking only, and some leave it in.
         prefixes = [f"{fmu.modelIdentifier}_", f"{fmu.library_stem}_", ""]
         for name, (arguments, result) in _PROTOTYPES[type(self).__bases__[1]].items():
@@ -92,6 +96,12 @@ class _TolerantLoading:
                     names = _argument_names(type(self).__bases__[1], name)
                     function = TracedFunction(plain, names, function, fmu.trace_calls)
             fmu._functions[name] = function
+        if known is not None:
+            known |= fmu._functions
+
+
+_kept: dict[str, dict[str, Any]] = {}
+"""The functions of libraries that are kept loaded, by path, once they have been looked up."""
 
 
 def _find(library: ctypes.CDLL, symbols: list[str]) -> Any:
@@ -195,9 +205,11 @@ def load_library(
 def kept_loaded(library: Path) -> Iterator[None]:
     """Keep a library loaded, which takes longer than an instance: what it has in static variables stays."""
     held = ctypes.CDLL(str(library))
+    _kept[str(library)] = {}
     try:
         yield
     finally:
+        del _kept[str(library)]
         fmpy.freeLibrary(held._handle)
 
 

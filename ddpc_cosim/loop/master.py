@@ -147,8 +147,14 @@ class RunOfEngine(Protocol):
         """
 
 
-Engine = Callable[[Run], RunOfEngine | None]
-"""Takes up a run, or returns None, and the run is made here."""
+class Engine(Protocol):
+    """Takes up runs in place of this module's own loop."""
+
+    def start(self, controller: Controller, loop: Loop) -> None:
+        """Start a controller, as :func:`ddpc_cosim.loop.safe_calls.start_controller` does."""
+
+    def __call__(self, run: Run) -> RunOfEngine | None:
+        """Take up a run, or return None, and it is made here."""
 
 
 class NeedsPythonError(Exception):
@@ -457,7 +463,8 @@ def cosimulate(
         continues=continue_recording,
         past=past,
     )
-    start_controller(controller, loop)
+    start = engine.start if engine else start_controller
+    start(controller, loop)
     settings = controller_settings(controller)
     knowledge = controller_knowledge(controller, loop)
     warnings = recording_warnings(loop, wish.reference) if learns else ()
@@ -964,13 +971,15 @@ def _run(
     pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
+    end = 0
     for k, time in enumerate(rows.time):
+        if k < end:  # another engine has run it
+            continue
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
         if elsewhere is not None:
-            if k == rows.count:
-                end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
-                y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
+            end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
+            y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
             continue
         sample, measured = rows.begin(k, first, y_plant)
         decision = yield controller, sample, inputs

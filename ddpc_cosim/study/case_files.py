@@ -8,13 +8,15 @@ import os
 import shutil
 import stat
 import warnings
+from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache, lru_cache
 from itertools import islice
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -81,7 +83,7 @@ class CaseResult:
         Why it ended early; empty if completed.
     tracking : tuple of Tracking
         What it is judged by, an entry per controlled output.
-    metrics, diagnostics : dict of str to float
+    metrics, diagnostics : mapping of str to float
         Values of the run, and of the controller's data or model.
     settings : dict
         The controller's settings, defaults filled in.
@@ -113,12 +115,12 @@ class CaseResult:
         How long its worker took for it [s]; NaN if it was lost.
     simulated_time : float
         From its first sample to its last [s].
-    versions : dict of str to str
+    versions : mapping of str to str
         Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
     engine : str
         What computed its samples: ``"compiled"``, or why it was Python though that was asked for; empty:
         Python, as nothing else was.
-    drawn : dict of str to float
+    drawn : mapping of str to float
         The plant parameters that its seed has drawn, by name and unit: ``"mass [kg]"``.
     beyond_log : dict of str to float
         By input and output, in what share of the samples it was outside what the logs recorded that its plant
@@ -135,8 +137,8 @@ class CaseResult:
     outcome: Outcome
     reason: str
     tracking: tuple[Tracking, ...]
-    metrics: dict[str, float]
-    diagnostics: dict[str, float]
+    metrics: Mapping[str, float]
+    diagnostics: Mapping[str, float]
     settings: dict[str, Any]
     warnings: tuple[str, ...]
     folder: Path
@@ -151,9 +153,9 @@ class CaseResult:
     tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
-    versions: dict[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
     engine: str = ""
-    drawn: dict[str, float] = field(default_factory=dict)
+    drawn: Mapping[str, float] = field(default_factory=dict)
     beyond_log: dict[str, float] = field(default_factory=dict)
     batched: bool = field(default=False, compare=False)
 
@@ -219,10 +221,11 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
     head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
     warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
     transient = run["transient"] or outcome in _TRANSIENT
+    numbers = Numbers.of if batched else _numbers
     return CaseResult(
         **head,
-        metrics=_numbers(run["metrics"]),
-        diagnostics=_numbers(run["diagnostics"]),
+        metrics=numbers(run["metrics"]),
+        diagnostics=numbers(run["diagnostics"]),
         settings=run["settings"],
         tracking=tuple(map(Tracking.read, run["tracking"])),
         outcome=outcome,
@@ -232,9 +235,9 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
         transient=transient,
         wall_time=float(run.get("wall_time", math.nan)),
         simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
-        versions=dict(run.get("versions", {})),
+        versions=run.get("versions", {}),
         engine=str(run.get("engine", "")),
-        drawn=dict(run.get("drawn", {})),
+        drawn=numbers(run.get("drawn", {})),
         beyond_log=dict(run.get("beyond_log", {})),
         batched=batched,
     )
@@ -328,10 +331,10 @@ def described(trace: Trace, head: dict[str, Any], settings: MetricSettings) -> d
             "sampling_time": trace.sampling_time,
             "planned_samples": trace.planned_samples,
             "preview": trace.preview,
-            "inputs": [asdict(v) for v in trace.inputs],
-            "outputs": [asdict(v) for v in trace.outputs],
-            "measurements": [asdict(v) for v in trace.measurements],
-            "changed_inputs": [asdict(v) for v in trace.changed_inputs],
+            "inputs": [_plain(v) for v in trace.inputs],
+            "outputs": [_plain(v) for v in trace.outputs],
+            "measurements": [_plain(v) for v in trace.measurements],
+            "changed_inputs": [_plain(v) for v in trace.changed_inputs],
             "bounds": {
                 name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
             },
@@ -343,18 +346,24 @@ def described(trace: Trace, head: dict[str, Any], settings: MetricSettings) -> d
     )
 
 
+@cache
+def _plain(variable: Variable) -> dict[str, Any]:
+    """Return what JSON can say of a variable; it is not to be changed."""
+    return asdict(variable)
+
+
 def _further(trace: Trace) -> dict[str, Any]:
     """Return what the further columns of a trace are, as far as there are some."""
     further = {
-        "disturbances": [asdict(variable) for variable in trace.disturbances],
+        "disturbances": [_plain(variable) for variable in trace.disturbances],
         "acting": list(trace.acting),
         "bands": list(trace.bands),
         "moving_limits": list(trace.moving_limits),
         "charges": [charge._asdict() for charge in trace.charges],
-        "monitors": [asdict(variable) for variable in trace.monitors],
+        "monitors": [_plain(variable) for variable in trace.monitors],
         "monitored_bands": list(trace.monitored_bands),
         "substeps": trace.substeps if trace.substeps > 1 else None,
-        "intersample_signals": [asdict(variable) for variable in trace.intersample_signals],
+        "intersample_signals": [_plain(variable) for variable in trace.intersample_signals],
         "engine": trace.engine,
         "beyond_log": trace.beyond_log,
     }
@@ -623,6 +632,45 @@ def read_run(folder: Path) -> dict[str, Any]:
 def _read_run(folder: Path) -> dict[str, Any]:
     run = read_sealed(folder / RUN_FILE)
     return run | {key: _numbers(run[key]) for key in ("metrics", "diagnostics")}
+
+
+class Numbers(Mapping[str, float]):
+    """Numbers by name, in an eighth of the memory of a dict: many cases have the same names.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The names.
+    values : sequence of float
+        Their numbers.
+    """
+
+    __slots__ = ("_places", "_values")
+
+    def __init__(self, names: tuple[str, ...], values: Sequence[float]) -> None:
+        self._places, self._values = _places_of(names), array("d", values)
+
+    @classmethod
+    def of(cls, stored: Mapping[str, Any]) -> Self:
+        """Return what a file says."""
+        return cls(tuple(stored), [float(value) for value in stored.values()])
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[self._places[name]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+
+@lru_cache(maxsize=1000)
+def _places_of(names: tuple[str, ...]) -> Mapping[str, int]:
+    return {name: place for place, name in enumerate(names)}
 
 
 def _numbers(stored: Mapping[str, Any]) -> dict[str, float]:

@@ -55,6 +55,7 @@ from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
+    from ddpc_cosim.compiled.engine import CompiledEngine
     from ddpc_cosim.study.file_format.sections import (
         ControllerSection,
         LoopSection,
@@ -576,9 +577,10 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
     """Run cases of this project's controllers and plants that differ by their seeds alone, and yield traces.
 
-    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one.
+    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one. So is their
+    controller made once: started again, it knows nothing of the run before.
     """
-    kept, plant = ExitStack(), None
+    kept, plant, prepared = ExitStack(), None, None
     with kept:
         for case in cases:
             if plant is None and case.plant.fmu:
@@ -589,10 +591,13 @@ def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
                 continue
             store = row_store(case)
             safe_calls.announce_calls(store.announce)
-            trace = _run(case, plant, store)
+            if prepared is None and case.engine == "compiled":
+                with suppress(CosimError):  # as above
+                    prepared = _Prepared.of(case)
+            trace = _run(case, plant, store, prepared)
             if trace.outcome is not Outcome.COMPLETED:
                 kept.close()
-                plant = None
+                plant = prepared = None
             yield _with_remarks(case, trace)
 
 
@@ -716,16 +721,28 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
     return trace
 
 
-def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
+class _Prepared(NamedTuple):
+    """The controller of a case and the compiled engine, for all cases that differ by their seeds alone."""
+
+    controller: Controller | None
+    engine: "CompiledEngine"
+
+    @classmethod
+    def of(cls, case: Case) -> Self:
+        """Make them; raises what keeps the controller from being made."""
+        from ddpc_cosim.compiled.engine import CompiledEngine
+
+        return cls(_controller(case.section, case.plant), CompiledEngine())
+
+
+def _run(case: Case, plant: Plant, store: RowStore, prepared: _Prepared | None = None) -> Trace:
     """Close the loop of a case and an open plant; an error before its first sample is in the trace, too."""
     reason = ""
     try:
         if case.engine == "compiled":
-            from ddpc_cosim.compiled.engine import CompiledEngine
-
-            engine = CompiledEngine()
+            controller, engine = prepared or _Prepared.of(case)
             try:
-                trace = _close_the_loop(case, plant, _controller(case.section, case.plant), store, engine)
+                trace = _close_the_loop(case, plant, controller, store, engine)
             except NeedsPythonError as error:
                 reason = f"python: {error}"
             else:

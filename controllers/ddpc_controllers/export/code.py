@@ -503,7 +503,7 @@ class Code:
                     follow=(_FOLLOWS if self.follows else "") + (_LOADS if apart else ""),
                 ),
                 "controller.c": "\n\n".join(parts) + "\n",
-                **_runtime(self._kernels),
+                **_runtime(tuple(self._kernels)),
             },
             STATUSES,
             self.follows,
@@ -600,7 +600,8 @@ def _kernel_files() -> Mapping[str, str]:
     return {file.name: file.read_text(encoding="utf-8") for file in files}
 
 
-def _runtime(kernels: Sequence[str]) -> dict[str, str]:
+@cache
+def _runtime(kernels: tuple[str, ...]) -> Mapping[str, str]:
     """Return the files of the kernels and of those that they include, by name."""
     files = _kernel_files()
     texts = dict[str, str]()

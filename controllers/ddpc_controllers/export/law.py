@@ -66,21 +66,25 @@ def add_law(code: Code, law: Law, answers: int, moving: bool = False) -> LawInC:
     while isinstance(easier, ParametricQP):
         stages.append(easier)
         easier = easier.easier()
-    affine = _affine_laws(code, [stage.problem for stage in stages], answers)
+    sides = [_sides(stage.problem) for stage in stages]
+    upper = [rows for rows, _ in sides]
+    affine = _affine_laws(code, [stage.problem for stage in stages], upper, answers)
     added = LawInC("NULL", 0)
-    for stage, name in zip(reversed(stages), reversed(affine), strict=True):
+    for stage, rows, name in zip(reversed(stages), reversed(sides), reversed(affine), strict=True):
         conflicts = len(law.problem.conflict_law) if stage is law else 0
         limits = {} if moving else stage.limits.tables()
-        pointer, memory = _add(code, stage.problem, limits, answers, name, conflicts, added.pointer)
+        pointer, memory = _add(code, stage.problem, rows, limits, answers, name, conflicts, added.pointer)
         added = LawInC(pointer, added.memory + memory)
     return added
 
 
-def _affine_laws(code: Code, problems: Sequence[CondensedProblem], answers: int) -> list[str]:
+def _affine_laws(
+    code: Code, problems: Sequence[CondensedProblem], upper: Sequence[NDArray[np.intp]], answers: int
+) -> list[str]:
     """Add the unconstrained optima; where bounds give way at a cost, that is as it was before."""
     names, before = list[str](), np.empty((0, 0))
-    for problem in problems:
-        rows = np.vstack([problem.excess_law[_sides(problem)[0]], problem.move_law[:answers]])
+    for problem, kept in zip(problems, upper, strict=True):
+        rows = np.vstack([problem.excess_law[kept], problem.move_law[:answers]])
         rounding = _SAME * np.abs(rows).max(axis=1, keepdims=True)
         if names and before.shape == rows.shape and (np.abs(rows - before) <= rounding).all():
             names.append(names[-1])
@@ -93,6 +97,7 @@ def _affine_laws(code: Code, problems: Sequence[CondensedProblem], answers: int)
 def _add(
     code: Code,
     problem: CondensedProblem,
+    sides: tuple[NDArray[np.intp], NDArray[np.intp]],
     limits: Mapping[str, Sequence[float]],
     answers: int,
     affine: str,
@@ -100,7 +105,7 @@ def _add(
     easier: str,
 ) -> LawInC:
     """Add one law."""
-    upper, lower = _sides(problem)
+    upper, lower = sides
     law, gain = problem.excess_law[upper], problem.excess_gain[upper]
     size = np.linalg.norm(gain, axis=1)
     size[size == 0.0] = 1.0

@@ -122,14 +122,12 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
         the one-step prediction errors of the output predicted worst.
     """
     m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
-    explained = window_starts(len(recording), lags + 1, recording.seams) + lags
-    rows = len(explained)
     signals, means, size = _standardised(recording)
-    now = signals[explained, p + m :]
-    past = np.hstack([_past(signals, lags, recording.seams), now, np.ones((rows, 1))])
+    past, now = _regression(signals, lags, recording.seams, p, n_d)
+    rows = len(past)
     penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
     system = np.vstack([past, penalty])
-    target = np.vstack([signals[explained, :p], np.zeros((len(penalty), p))])
+    target = np.vstack([now, np.zeros((len(penalty), p))])
     # Least norm: data of a plant with fewer lags leave coefficients free.
     solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
     error = (past @ solution - target[:rows]) * size[:p]
@@ -154,6 +152,34 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
     operating_point = rest[:m], rest[m:]
     known = {"e": e, "f": at_once, "d_0": d_0}
     return SampledModel(a, b, np.eye(p, lags * p), *operating_point, len(recording), fit, **known)
+
+
+def one_step_errors(recording: Recording, inputs: FloatArray, lags: int) -> FloatArray:
+    """Return the one-step errors of autoregressive models of a recording with other inputs, all at once.
+
+    Parameters
+    ----------
+    recording : Recording
+        The experiment.
+    inputs : array, shape (T, n, m)
+        The inputs of each model.
+    lags : int
+        Number of past samples.
+
+    Returns
+    -------
+    errors : array, shape (n,)
+        Of each model, as ``one_step_error`` of :func:`fit_arx`.
+    """
+    p, n_d = recording.y.shape[1], recording.d.shape[1]
+    y, d = (np.repeat(table[:, np.newaxis], inputs.shape[1], axis=1) for table in (recording.y, recording.d))
+    signals, _, size = standardised(np.concatenate([y, inputs, d], axis=-1))
+    past, now = _regression(signals, lags, recording.seams, p, n_d)
+    # The triangular factor shows what is left of the outputs.
+    systems = np.concatenate([past, now], axis=-1).swapaxes(0, 1)
+    left = np.square(np.asarray(np.linalg.qr(systems, mode="r"))[:, -p:, -p:])
+    errors: FloatArray = (np.sqrt(left.sum(axis=1) / len(past)) * size[:, :p]).max(axis=1)
+    return errors
 
 
 def choose_lags(recording: Recording) -> int:
@@ -207,10 +233,22 @@ def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatAr
     return standardised(np.hstack([recording.y, recording.u, recording.d]))
 
 
+def _regression(
+    signals: FloatArray, lags: int, seams: Sequence[int], outputs: int, disturbances: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return what explains the outputs at each sample that has a past, a constant last, and the outputs.
+
+    ``signals``, shape (T, ..., width), are y, u and d side by side.
+    """
+    now = signals[window_starts(len(signals), lags + 1, seams) + lags]
+    known = now[..., now.shape[-1] - disturbances :], np.ones((*now.shape[:-1], 1))
+    return np.concatenate([_past(signals, lags, seams), *known], axis=-1), now[..., :outputs]
+
+
 def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:
     """Return the samples before each that has ``lags`` of them, the newest first, side by side."""
     first = window_starts(len(signals), lags + 1, seams)
-    return np.hstack([signals[first + lags - i] for i in range(1, lags + 1)])
+    return np.concatenate([signals[first + lags - i] for i in range(1, lags + 1)], axis=-1)
 
 
 def never_moved(loop: Loop, recording: Recording) -> tuple[str, ...]:

@@ -13,7 +13,13 @@ from scipy.linalg import expm
 
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.from_fmu import pulse_model
-from ddpc_controllers.models.identification import Identified, choose_lags, fit_arx, markov_parameters
+from ddpc_controllers.models.identification import (
+    Identified,
+    choose_lags,
+    fit_arx,
+    markov_parameters,
+    one_step_errors,
+)
 from ddpc_controllers.models.linear import ModelFunction, SampledModel, StateSpace
 from ddpc_cosim import (
     ConfigError,
@@ -137,6 +143,14 @@ def test_a_ridge_shrinks_the_coefficients() -> None:
     free, held = fit_arx(recording, 2), fit_arx(recording, 2, ridge=1e3)
     assert np.abs(held.a[:, 0]).sum() < np.abs(free.a[:, 0]).sum()
     assert held.fit["one_step_error"] > free.fit["one_step_error"]
+
+
+@pytest.mark.parametrize("seams", [(), (70,)])
+def test_models_with_other_inputs_at_once_leave_what_each_of_them_leaves(seams: tuple[int, ...]) -> None:
+    recording, rng = replace(pendulum_experiment(1), seams=seams), np.random.default_rng(0)
+    inputs = np.stack([recording.u, np.roll(recording.u, 3, axis=0), rng.normal(size=(len(recording), 1))], 1)
+    each = [fit_arx(replace(recording, u=inputs[:, n]), 2).fit["one_step_error"] for n in range(3)]
+    np.testing.assert_allclose(one_step_errors(recording, inputs, 2), each, rtol=1e-9)
 
 
 def test_a_recording_too_short_for_the_lags_is_refused() -> None:

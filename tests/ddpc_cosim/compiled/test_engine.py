@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,15 @@ from click.testing import CliRunner
 
 from ddpc_controllers import PID
 from ddpc_cosim import (
+    Bounds,
     ConfigError,
     Constant,
     GaussianNoise,
+    Loop,
     Outcome,
+    Recording,
     Trace,
+    Variable,
     cosimulate,
 )
 from ddpc_cosim.cli.main import main
@@ -146,6 +151,54 @@ def test_fmus_of_both_versions(version: str, own_cache_folder: None, tmp_path: P
     python, compiled = run(None), run(engine)
     assert engine.used == "compiled"
     np.testing.assert_allclose(compiled.y, python.y, rtol=0.0, atol=1e-12)
+
+
+class Counting(PID):
+    """Counts how often it is started, and may look at its random numbers at that."""
+
+    starts, looks = 0, False
+
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        self.starts += 1
+        if self.looks:
+            deepcopy(loop.rng).normal()
+
+
+def a_loop(recording: Recording | None = None, seed: int = 0, preview: int = 1) -> Loop:
+    torque, angle = Variable("torque"), Variable("angle")
+    bounds = Bounds(np.array([-1.0]), np.array([1.0]), np.array([-2.0]), np.array([2.0]))
+    rng = np.random.default_rng(seed)
+    return Loop(0.1, (torque,), (angle,), (angle,), bounds, recording, rng, preview)
+
+
+def a_recording(seed: int) -> Recording:
+    table = np.random.default_rng(seed).normal(size=(5, 1))
+    return Recording(table, table, table, 0.1)
+
+
+def test_a_controller_is_started_again_where_its_loop_is_another_one() -> None:
+    engine, controller = CompiledEngine(), Counting(proportional=4.0)
+    starts = []
+    for loop in (
+        a_loop(),
+        a_loop(seed=1),
+        a_loop(a_recording(0)),
+        a_loop(a_recording(0), seed=2),
+        a_loop(a_recording(1)),
+        a_loop(a_recording(1), preview=2),
+    ):
+        engine.start(controller, loop)
+        starts.append(controller.starts)
+    assert starts == [1, 1, 2, 2, 3, 4]
+
+
+def test_one_that_looks_at_random_numbers_is_always_started_again() -> None:
+    engine, controller = CompiledEngine(), Counting(proportional=4.0)
+    controller.looks = True
+    for seed in (0, 0, 1):
+        engine.start(controller, a_loop(seed=seed))
+    assert controller.starts == 3
 
 
 def test_what_python_alone_knows_is_run_there_and_says_why(tmp_path: Path, own_cache_folder: None) -> None:

@@ -15,6 +15,7 @@ from ddpc_cosim import CaseResult, ConfigError, CosimError, StudyResults, load_r
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import batches, runner
 from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
+from ddpc_cosim.study.case_files import Numbers
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.results import write_report
@@ -75,8 +76,8 @@ def figures(results: StudyResults) -> dict[str, Any]:
             case.settles,
             case.left,
             case.tracking,
-            case.drawn,
-            case.diagnostics,
+            dict(case.drawn),
+            dict(case.diagnostics),
             case.warnings,
             case.engine,
             {key: value for key, value in case.metrics.items() if not key.startswith(NOT_COMPARED)},
@@ -126,7 +127,7 @@ def test_any_other_run_is_made_again_to_the_last_bit(study: Path) -> None:
     lost = next(case for case in results.cases if not case.has_samples)
     [again] = run(study, only=[lost.controller], seeds=[lost.seed]).cases
     assert (again.id, again.batched) == (lost.id, False)
-    np.testing.assert_equal(again.metrics, lost.metrics)
+    np.testing.assert_equal(again.metrics, dict(lost.metrics))
     trace = lost.trace()
     [case] = [case for case in cases_in(study) if case.id == lost.id]
     np.testing.assert_array_equal(trace.u, again.trace().u)
@@ -270,3 +271,10 @@ def test_a_report_says_of_which_runs_there_are_samples(study: Path) -> None:
         first, second, third = sorted(errors, key=lambda seed: -errors[seed])[:3]
         assert f"with seeds {first}, {second} and {third}" in text
     assert "</html>" in write_report([results], study.parent / "report.html").read_text(encoding="utf-8")
+
+
+def test_numbers_by_name_are_those_of_a_dict() -> None:
+    stored = {"rmse [deg]": 1.5, "failures [1]": 0.0}
+    numbers = Numbers.of(stored)
+    assert (dict(numbers), numbers == stored, repr(numbers), len(numbers)) == (stored, True, repr(stored), 2)
+    assert (numbers.get("iae"), list(numbers)) == (None, list(stored))

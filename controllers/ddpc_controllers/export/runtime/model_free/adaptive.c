@@ -219,7 +219,9 @@ static void solve_unlimited(const Adaptive *adaptive, const AdaptiveMemory *held
     for (size_t i = 0; i < n; ++i) held->slope[i] = 0.0;
     for (size_t k = 0; k < rows; ++k) {
         const double *row = held->response + k * (n + 1);
-        for (size_t i = 0; i < n; ++i) {
+        /* A is triangular: no output follows what comes after it. */
+        const size_t before = (k / adaptive->p + 1) * adaptive->m;
+        for (size_t i = 0; i < n && i < before; ++i) {
             held->slope[i] += row[i] * held->error[k];
             for (size_t j = 0; j <= i; ++j) held->hessian[i * n + j] += row[i] * row[j];
         }
