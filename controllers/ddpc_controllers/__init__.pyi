@@ -34,6 +34,7 @@ from .mpc import MPC as MPC
 from .nmpc import NMPC as NMPC
 from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
+from .safety_filter import SafetyFilter as SafetyFilter
 from .scaling import Scaled as Scaled
 from .spc import SPC as SPC, GammaDDPC as GammaDDPC
 from .spsa import SPSA as SPSA

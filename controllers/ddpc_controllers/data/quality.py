@@ -74,11 +74,14 @@ class PredictionTest(NamedTuple):
         The same over the rest, which it was fitted to.
     errors : array, shape (n, p)
         Over the tail, of every output, row i of predictions i + 1 samples after the last known output.
+    residuals : array, shape (windows, n, p)
+        Outputs less their predictions themselves, over the tail, in the units of the outputs.
     """
 
     error: float
     fitted: float
     errors: FloatArray
+    residuals: FloatArray
 
 
 def judge(
@@ -322,4 +325,4 @@ def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTe
     size = _deviations(y)
     errors, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
     worst = int(np.argmax(errors[-1]))
-    return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors)
+    return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors, tail)

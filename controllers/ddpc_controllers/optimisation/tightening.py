@@ -1,0 +1,133 @@
+"""Output limits drawn in by what predictions were off: limits that are kept as often as promised.
+
+Of predictions i samples ahead, n residuals ``e = y - y^`` are known on samples that no predictor was fitted
+to. One more that is exchangeable with them is above the k-th smallest with a probability of at most
+``1 - k / (n + 1)``, whatever its distribution (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a
+Random World, 2005; J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, *Distribution-free
+predictive inference for regression*, JASA 113(523), 2018, doi:10.1080/01621459.2017.1307116). So a predicted
+output that keeps
+
+    y^_i <= y_max - q_i,   q_i = max(0, the k-th smallest of e_i),   k = ceil((n + 1) satisfaction),
+
+is measured below its limit with the probability that is asked for, and likewise above the lower one.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddpc_controllers.data.quality import PredictionTest
+from ddpc_controllers.optimisation.problem import Blocks
+from ddpc_cosim import DataError, FloatArray, setting
+
+
+@dataclass(kw_only=True)
+class Promise:
+    """How often a predictive method is to keep the limits of the outputs."""
+
+    satisfaction: float = setting(
+        0.0,
+        low=0.0,
+        high=0.999,
+        doc="share of the samples in which each limit of an output is to be kept: limits are drawn in by "
+        "this quantile of the prediction's errors on held-out samples; 0: they stay as they are",
+    )
+
+    def promised(self) -> dict[str, float]:
+        """Return the diagnostic that says what is promised; empty where nothing is."""
+        return {"promised_satisfaction": self.satisfaction} if self.satisfaction else {}
+
+
+def promised_margins(
+    test: PredictionTest | None, satisfaction: float, shape: tuple[int, int], who: str
+) -> FloatArray:
+    """Return by how much the limits of a method are drawn in over its horizon, shape (N, p, 2).
+
+    Parameters
+    ----------
+    test : PredictionTest or None
+        How well it predicts on held-out samples.
+    satisfaction : float
+        What it promises; with 0 nothing is drawn in.
+    shape : (int, int)
+        N and p.
+    who : str
+        The method.
+
+    Raises
+    ------
+    DataError
+        It promises something, and the recording is too short to hold samples out.
+    """
+    if not satisfaction:
+        return np.zeros((*shape, 2))
+    if test is None:
+        raise DataError(
+            f"{who}: satisfaction = {satisfaction:g} is promised by what predictions are off on held-out "
+            "samples, and the recording is too short to hold any out: record more, predict fewer samples "
+            f"ahead than {shape[0]}, or set it to 0"
+        )
+    return margins_of(test.residuals, satisfaction)
+
+
+def margins_of(residuals: FloatArray, satisfaction: float) -> FloatArray:
+    """Return by how much limits are drawn in so that a share of predictions ends within them.
+
+    Parameters
+    ----------
+    residuals : array, shape (n, N, p)
+        Outputs less their predictions, row i of the horizon of each, on held-out samples.
+    satisfaction : float
+        The share; beyond n / (n + 1) the largest residual is all that they can say.
+
+    Returns
+    -------
+    margins : array, shape (N, p, 2)
+        Of lower and upper limits; none is negative.
+    """
+    samples = len(residuals)
+    place = min(math.ceil((samples + 1) * satisfaction), samples) - 1
+    ordered = [np.sort(off, axis=0)[place] for off in (-residuals, residuals)]
+    return np.asarray(np.maximum(np.stack(ordered, axis=-1), 0.0))
+
+
+def tightened(
+    lower: FloatArray,
+    upper: FloatArray,
+    margins: FloatArray,
+    moving: tuple[Blocks, Blocks] | None = None,
+) -> tuple[FloatArray, FloatArray, tuple[Blocks, Blocks] | None]:
+    """Return limits over a horizon, drawn in by margins: what :meth:`Problem.bound` takes.
+
+    Where two margins are more than what is between the limits, both are shortened in proportion, so that a
+    point is left.
+
+    Parameters
+    ----------
+    lower, upper : array, shape (p,)
+        The limits; of those that move the outermost.
+    margins : array, shape (N, p, 2)
+        See :func:`margins_of`.
+    moving : (blocks, blocks), optional
+        Limits that move, as combinations of parameters.
+
+    Returns
+    -------
+    lower, upper : array, shape (N p,)
+        The limits of every sample.
+    moving : (blocks, blocks) or None
+        Those that move.
+    """
+    total, room = margins.sum(axis=-1), upper - lower
+    share = np.ones_like(total)
+    np.divide(room, total, out=share, where=total > room)
+    up, down = (share * margins[..., 0]).ravel(), (share * margins[..., 1]).ravel()
+    samples = len(margins)
+    if moving:
+        low, high = moving
+        moving = (
+            {**low, "one": low["one"] + up[:, np.newaxis]},
+            {**high, "one": high["one"] - down[:, np.newaxis]},
+        )
+    return np.tile(lower, samples) + up, np.tile(upper, samples) - down, moving
