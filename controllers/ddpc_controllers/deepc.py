@@ -45,6 +45,7 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_li
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
+from ddpc_controllers.optimisation.tightening import Promise, without_present
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
@@ -69,7 +70,7 @@ _UNEXPLAINED = 0.3
 
 
 @dataclass(kw_only=True)
-class BehavioralTracking(Foresight, ScaledSignals):
+class BehavioralTracking(Promise, Foresight, ScaledSignals):
     """Predict with recorded windows, track the reference; a subclass says how windows are combined.
 
     What a subclass sets, in the order of the calls:
@@ -267,7 +268,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
         online = self._learner.data.counts() if self._learner else {}
-        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online}
+        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online, **self.promised()}
 
     @abstractmethod
     def _write_down(self, loop: Loop) -> Problem:
@@ -397,6 +398,9 @@ class BehavioralTracking(Foresight, ScaledSignals):
             terminal_length=self.initial_length if self.terminal_equality else 0,
             soft_output_bounds=self.soft_output_bounds,
         )
+        margins = self.margins(self._judgement.residuals, self.horizon)
+        if not self.use_current_output:
+            margins = without_present(margins)
         sizes = self._parameters.sizes
         past = {"u_ini": sizes["u_ini"], "y_ini": sizes["y_ini"]} | ({"sum_g": 1} if self._sums_g else {})
         disturbed = {D: sizes[D]} if D in sizes else {}
@@ -413,6 +417,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
             prefer_rest=prefer_rest,
             future_slack=future_slack,
             outlook=self._outlook,
+            margins=margins,
         )
 
     def _plan(self, sample: Sample) -> tuple[FloatArray, str]:

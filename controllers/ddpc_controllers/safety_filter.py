@@ -48,7 +48,7 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem, sample_by_sample
 from ddpc_controllers.optimisation.qp import make_law
-from ddpc_controllers.optimisation.tightening import Promise, promised_margins, tightened
+from ddpc_controllers.optimisation.tightening import Promise, tightened
 from ddpc_controllers.scaling import SCALES, Predicted, ScaleBy, Scales
 from ddpc_controllers.wrapper import SingleWrapper, joined
 from ddpc_cosim import OK, Action, FloatArray, Integer, Loop, Sample, setting
@@ -139,9 +139,9 @@ class SafetyFilter(Promise, SingleWrapper):
             return predict_from_head(recording, layout, past + 1, who, windows)
 
         test = fit_by_predictor(predictor, data, n * p, p, layout.depth)
-        self._margins = promised_margins(test, self.satisfaction, (n, p), who)
         spans = Span(n, "steps_ahead"), Span(past + 1, "initial_length")
         self._judgement = judge(who, recording, loop.outputs, spans, (test, n))
+        self._margins = self.margins(self._judgement.residuals, n)
         self._bounds = loop.bounds.u_min, loop.bounds.u_max
         self._limits = InputLimits(*self._bounds)
         self._outlook = Outlook(loop, _NO_PRICES, n, past=past)
@@ -178,9 +178,8 @@ class SafetyFilter(Promise, SingleWrapper):
                 problem.equate({"u": _changes(n, self.initial_length - 1, m)}, {}, _TERMINAL)
             problem.equate({"y": _changes(n, self.initial_length, p)}, {}, _TERMINAL)
         problem.bound("u", bounds.u_min, bounds.u_max, name="u", moving=self._outlook.moving("u", bounds))
-        lower, upper, moving = tightened(
-            bounds.y_min, bounds.y_max, self._margins, self._outlook.moving("y", bounds)
-        )
+        moving = self._outlook.moving("y", bounds)
+        lower, upper, moving = tightened(bounds.y_min, bounds.y_max, self._margins, moving)
         problem.bound("y", lower, upper, name="y", relaxed=self.excess_weight, moving=moving)
         return problem
 

@@ -37,11 +37,14 @@ class Judgement(NamedTuple):
         How well it lets the method predict; empty where that was not tested.
     errors : array, shape (n, p), optional
         See :class:`PredictionTest`; None where that was not tested.
+    residuals : array, shape (windows, n, p), optional
+        Likewise.
     """
 
     warnings: tuple[str, ...] = ()
     diagnostics: Mapping[str, float] = {}
     errors: FloatArray | None = None
+    residuals: FloatArray | None = None
 
 
 class Span(NamedTuple):
@@ -113,12 +116,12 @@ def judge(
     figures = {"prediction_error": test.error, "prediction_error_fitted": test.fitted}
     verdict = judge_prediction(test.error, test.fitted)
     if not verdict.startswith("poor"):
-        return Judgement(late, figures, test.errors)
+        return Judgement(late, figures, test.errors, test.residuals)
     poor = (
         f"{who}: {horizon} samples ahead it is off by {100 * test.error:.0f} % of the output's standard "
         f"deviation on the recording's last quarter, held out; {verdict}"
     )
-    return Judgement((*late, poor), figures, test.errors)
+    return Judgement((*late, poor), figures, test.errors, test.residuals)
 
 
 def fit_by_windows(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.data.quality import PredictionTest
 from ddpc_controllers.optimisation.problem import Blocks
 from ddpc_cosim import DataError, FloatArray, setting
 
@@ -38,37 +37,30 @@ class Promise:
         """Return the diagnostic that says what is promised; empty where nothing is."""
         return {"promised_satisfaction": self.satisfaction} if self.satisfaction else {}
 
+    def margins(self, residuals: FloatArray | None, samples: int) -> FloatArray | None:
+        """Return by how much limits are drawn in over a horizon, shape (N, p, 2); None where nothing is.
 
-def promised_margins(
-    test: PredictionTest | None, satisfaction: float, shape: tuple[int, int], who: str
-) -> FloatArray:
-    """Return by how much the limits of a method are drawn in over its horizon, shape (N, p, 2).
+        Parameters
+        ----------
+        residuals : array, shape (n, N or more, p), or None
+            What predictions are off on held-out samples; None: there are none.
+        samples : int
+            N.
 
-    Parameters
-    ----------
-    test : PredictionTest or None
-        How well it predicts on held-out samples.
-    satisfaction : float
-        What it promises; with 0 nothing is drawn in.
-    shape : (int, int)
-        N and p.
-    who : str
-        The method.
-
-    Raises
-    ------
-    DataError
-        It promises something, and the recording is too short to hold samples out.
-    """
-    if not satisfaction:
-        return np.zeros((*shape, 2))
-    if test is None:
-        raise DataError(
-            f"{who}: satisfaction = {satisfaction:g} is promised by what predictions are off on held-out "
-            "samples, and the recording is too short to hold any out: record more, predict fewer samples "
-            f"ahead than {shape[0]}, or set it to 0"
-        )
-    return margins_of(test.residuals, satisfaction)
+        Raises
+        ------
+        DataError
+            Something is promised, and no samples are held out.
+        """
+        if not self.satisfaction:
+            return None
+        if residuals is None:
+            raise DataError(
+                f"{type(self).__name__}: satisfaction = {self.satisfaction:g} goes by what predictions are "
+                "off on held-out samples, and a recording that short leaves none, nor does a model that is "
+                "not identified from one: record more, predict fewer samples ahead, or set it to 0"
+            )
+        return margins_of(residuals[:, :samples], self.satisfaction)
 
 
 def margins_of(residuals: FloatArray, satisfaction: float) -> FloatArray:
@@ -95,7 +87,7 @@ def margins_of(residuals: FloatArray, satisfaction: float) -> FloatArray:
 def tightened(
     lower: FloatArray,
     upper: FloatArray,
-    margins: FloatArray,
+    margins: FloatArray | None,
     moving: tuple[Blocks, Blocks] | None = None,
 ) -> tuple[FloatArray, FloatArray, tuple[Blocks, Blocks] | None]:
     """Return limits over a horizon, drawn in by margins: what :meth:`Problem.bound` takes.
@@ -107,18 +99,21 @@ def tightened(
     ----------
     lower, upper : array, shape (p,)
         The limits; of those that move the outermost.
-    margins : array, shape (N, p, 2)
-        See :func:`margins_of`.
+    margins : array, shape (N, p, 2), or None
+        See :func:`margins_of`; of samples whose limits do not count minus infinity. None: nothing is drawn
+        in.
     moving : (blocks, blocks), optional
         Limits that move, as combinations of parameters.
 
     Returns
     -------
     lower, upper : array, shape (N p,)
-        The limits of every sample.
+        The limits of every sample; as they were where nothing is drawn in.
     moving : (blocks, blocks) or None
         Those that move.
     """
+    if margins is None:
+        return lower, upper, moving
     total, room = margins.sum(axis=-1), upper - lower
     share = np.ones_like(total)
     np.divide(room, total, out=share, where=total > room)
@@ -131,3 +126,13 @@ def tightened(
             {**high, "one": high["one"] - down[:, np.newaxis]},
         )
     return np.tile(lower, samples) + up, np.tile(upper, samples) - down, moving
+
+
+def without_present(margins: FloatArray | None) -> FloatArray | None:
+    """Return margins of a horizon whose first output is the present one, whose limits do not count.
+
+    No input changes it any more: a limit there that is drawn in would only make steps that no inputs solve.
+    """
+    if margins is not None:
+        margins[0] = -np.inf
+    return margins
