@@ -3,7 +3,7 @@
 At every sample the controller inside says which inputs w it wants. What the plant gets is the first of the
 inputs that
 
-    minimise   |u_0 - w|^2 + 1e-6 sum_k |u_k - u_k-1|^2
+    minimise   |u_0 - w|^2 + 1e-4 sum_k |u_k - u_k-1|^2
     such that  (u, y) goes on from the measured past, as the recording foretells it,
                u_min <= u_k <= u_max,   y_min + q_k <= y_k+1 <= y_max - q'_k,   k = 0 ... N - 1,
                the horizon ends in a plan that can be kept for good,
@@ -55,10 +55,10 @@ from ddpc_cosim import OK, Action, FloatArray, Integer, Loop, Sample, setting
 
 Terminal = Literal["held", "rest", "none"]
 
-_SMOOTH = 1e-6
+_SMOOTH = 1e-4
 """Weight of the changes of a plan, beside that of its first inputs: it makes the plan unique."""
 _TERMINAL = 1e2
-_SAME = 1e-4
+_SAME = 1e-3
 """Of an input's scale: what differs by less from what is wanted is that."""
 _NO_PRICES = Foresight(price_weight=0.0)
 NOT_YET = "no finite measurement yet: inputs not filtered"
