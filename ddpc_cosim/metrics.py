@@ -433,8 +433,9 @@ def _overshoot(response: Response) -> float:
 
 
 def _limits_kept(response: Response) -> float:
+    limited = any(np.isfinite(limit).any() for limit in response.limits)
     kept = response.beyond == 0.0
-    return 100.0 * float(kept.mean()) if kept.size else math.nan
+    return 100.0 * float(kept.mean()) if limited and kept.size else math.nan
 
 
 def _rise_time(response: Response) -> float:
@@ -604,7 +605,7 @@ METRICS: dict[str, _Any] = {
     "limits_kept": Metric(
         Response,
         "Limits kept",
-        "share of the samples with the output within its limits",
+        "share of the samples with the output within its limits; NaN without limits",
         _limits_kept,
         "%",
         better="high",

@@ -18,6 +18,7 @@ from ddpc_controllers import (
     FMUController,
     Group,
     OffsetFree,
+    SafetyFilter,
     Scaled,
 )
 from ddpc_cosim import Controller, export_controller
@@ -56,6 +57,7 @@ WRAPPERS: dict[str, Callable[[], Controller]] = {
     "fmu": lambda: FMUController(file=exported()),
     "nmpc": lambda: NMPC(model=f"{plant_models.__name__}:REFERENCE", horizon=5),
     "offset-free": lambda: OffsetFree(controller=WKPC()),
+    "safety-filter": lambda: SafetyFilter(controller=PID(proportional=1.0, integral=1.0)),
     "scaled": lambda: Scaled(controller=DeePC()),
 }
 

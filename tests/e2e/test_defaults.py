@@ -38,6 +38,7 @@ REASONS: dict[str, str] = {
     "offset-free": "it is about another controller",
     "pid": f'{BY_HAND}; with tuning = "step-test" it takes them from the recording',
     "plant": "it is whatever control the plant has of its own",
+    "safety-filter": "it is about another controller",
     "scaled": "it is about another controller",
     "spsa": f"{BY_HAND}, and only their size is tuned",
     "wkpc-published": "it is what the authors' program does, whose ridge pulls every output to zero",
