@@ -75,11 +75,17 @@ def _figure(condition: Condition, key: str, identifier: str) -> Figure:
         common = {"label": label, "key": column_name(controller)}
         rows += [
             common
-            | {"value": value, "promise": False, "text": f"{label}, seed {seed}: {significant(value)} % kept"}
+            | {
+                "value": value,
+                "promise": False,
+                "text": f"{label}, seed {seed}: {significant(value, 3)} % kept",
+            }
             for seed, value in kept.items()
         ]
         if kept and not math.isnan(share):
-            words = f"{label}: {significant(share)} % promised, {significant(fmean(kept.values()))} % kept"
+            words = (
+                f"{label}: {significant(share, 3)} % promised, {significant(fmean(kept.values()), 3)} % kept"
+            )
             rows.append(common | {"value": share, "promise": True, "text": words})
     caption = f"Share of the samples in which {signal} keeps its limits, promised and measured."
     keys = (
