@@ -398,7 +398,7 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
             terminal_length=self.initial_length if self.terminal_equality else 0,
             soft_output_bounds=self.soft_output_bounds,
         )
-        margins = self.margins(self._judgement.residuals, self.horizon)
+        margins = self._drawn_in_by(loop, self.horizon)
         if not self.use_current_output:
             margins = without_present(margins)
         sizes = self._parameters.sizes

@@ -363,7 +363,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         self._predictor = Predictor(
             *(a, b, c, e, model.f),
             *(self, loop, self._scales, self._method_loop.controlled),
-            self.margins(self._judgement.residuals, self.horizon),
+            self._drawn_in_by(loop, self.horizon),
         )
         self._begin(loop)
         if loop.continues_recording:

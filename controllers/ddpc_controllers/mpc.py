@@ -240,7 +240,7 @@ class MPC(TrackingSettings, ModelBased):
         self._predictor = Predictor(
             *(model.a, model.b, model.c, model.e, model.f),
             *(self, loop, self._scales, self._method_loop.controlled),
-            self.margins(self._judgement.residuals, self.horizon),
+            self._drawn_in_by(loop, self.horizon),
         )
 
     @property

@@ -141,7 +141,7 @@ class SafetyFilter(Promise, SingleWrapper):
         test = fit_by_predictor(predictor, data, n * p, p, layout.depth)
         spans = Span(n, "steps_ahead"), Span(past + 1, "initial_length")
         self._judgement = judge(who, recording, loop.outputs, spans, (test, n))
-        self._margins = self.margins(self._judgement.residuals, n)
+        self._margins = self._drawn_in_by(loop, n)
         self._bounds = loop.bounds.u_min, loop.bounds.u_max
         self._limits = InputLimits(*self._bounds)
         self._outlook = Outlook(loop, _NO_PRICES, n, past=past)

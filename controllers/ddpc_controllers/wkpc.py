@@ -333,7 +333,7 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
             sizes,
             known={name: self._outlook.course if name == D else name for name in past},  # (10)
             outlook=self._outlook,
-            margins=without_present(self.margins(self._judgement.residuals, self.horizon)),
+            margins=without_present(self._drawn_in_by(loop, self.horizon)),
         )
         if self.regulariser == "ridge":
             problem.regularise(self.lambda_g)

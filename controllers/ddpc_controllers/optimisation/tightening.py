@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ddpc_controllers.data.quality import Judgement
 from ddpc_controllers.optimisation.problem import Blocks
-from ddpc_cosim import DataError, FloatArray, setting
+from ddpc_cosim import DataError, FloatArray, Loop, setting
 
 
 @dataclass(kw_only=True)
@@ -33,17 +34,22 @@ class Promise:
         "this quantile of the prediction's errors on held-out samples; 0: they stay as they are",
     )
 
+    _judgement = Judgement()
+
     def promised(self) -> dict[str, float]:
         """Return the diagnostic that says what is promised; empty where nothing is."""
         return {"promised_satisfaction": self.satisfaction} if self.satisfaction else {}
 
-    def margins(self, residuals: FloatArray | None, samples: int) -> FloatArray | None:
+    def _drawn_in_by(self, loop: Loop, samples: int) -> FloatArray | None:
         """Return by how much limits are drawn in over a horizon, shape (N, p, 2); None where nothing is.
+
+        It goes by the held-out residuals of ``_judgement``, to which it adds a warning where they leave no
+        room between the limits.
 
         Parameters
         ----------
-        residuals : array, shape (n, N or more, p), or None
-            What predictions are off on held-out samples; None: there are none.
+        loop : Loop
+            The loop that the method sees.
         samples : int
             N.
 
@@ -54,13 +60,26 @@ class Promise:
         """
         if not self.satisfaction:
             return None
+        who, residuals = (
+            f"{type(self).__name__}: satisfaction = {self.satisfaction:g}",
+            self._judgement.residuals,
+        )
         if residuals is None:
             raise DataError(
-                f"{type(self).__name__}: satisfaction = {self.satisfaction:g} goes by what predictions are "
-                "off on held-out samples, and a recording that short leaves none, nor does a model that is "
-                "not identified from one: record more, predict fewer samples ahead, or set it to 0"
+                f"{who} goes by what predictions are off on held-out samples, and a recording that short "
+                "leaves none, nor does a model that is not identified from one: record more, predict fewer "
+                "samples ahead, or set it to 0"
             )
-        return margins_of(residuals[:, :samples], self.satisfaction)
+        margins = margins_of(residuals[:, :samples], self.satisfaction)
+        crossed = (margins.sum(axis=-1) > loop.bounds.y_max - loop.bounds.y_min).any(axis=0)
+        crowded = tuple(
+            f'{who} leaves no room between the limits of "{output.name}", so far off are predictions; a '
+            "point is left: promise less, predict fewer samples ahead, or record more"
+            for output, no_room in zip(loop.outputs, crossed.tolist(), strict=True)
+            if no_room
+        )
+        self._judgement = self._judgement._replace(warnings=(*self._judgement.warnings, *crowded))
+        return margins
 
 
 def margins_of(residuals: FloatArray, satisfaction: float) -> FloatArray:

@@ -140,6 +140,16 @@ def test_the_first_input_is_that_of_the_problem_with_each_sample_drawn_in_by_its
     assert inputs(answer)[0] == pytest.approx(x[0], abs=1e-7)
 
 
+def test_predictions_too_far_off_for_the_limits_are_a_warning() -> None:
+    loop = loop_of(recorded())
+    narrow = replace(loop, bounds=replace(loop.bounds, y_min=np.full(1, LIMIT - 0.05)))
+    controller = SPC(satisfaction=0.95)
+    controller.start(narrow)
+    assert [text for text in controller.warnings() if 'no room between the limits of "y0"' in text]
+    controller.start(loop)
+    assert not controller.warnings()
+
+
 def test_a_recording_that_leaves_nothing_to_hold_out_cannot_promise() -> None:
     short = recorded(samples=30)
     SPC().start(loop_of(short))
