@@ -439,6 +439,12 @@ def _overshoot(response: Response) -> float:
     return 100 * _largest(np.array([step.overshoot for step in response.steps]))
 
 
+def _limits_kept(response: Response) -> float:
+    limited = any(np.isfinite(limit).any() for limit in response.limits)
+    kept = response.beyond == 0.0
+    return 100.0 * float(kept.mean()) if limited and kept.size else math.nan
+
+
 def _rise_time(response: Response) -> float:
     return response.sampling_time * _percentile(np.array([step.rise_samples for step in response.steps]), 50)
 
@@ -601,6 +607,15 @@ METRICS: dict[str, _Any] = {
         "time of samples with the output beyond its limits",
         lambda r: float(np.count_nonzero(r.beyond)) * r.sampling_time,
         "s",
+        shown=(),
+    ),
+    "limits_kept": Metric(
+        Response,
+        "Limits kept",
+        "share of the samples with the output within its limits; NaN without limits",
+        _limits_kept,
+        "%",
+        better="high",
         shown=(),
     ),
     "max_abs_input": Metric(

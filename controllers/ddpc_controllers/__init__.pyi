@@ -35,6 +35,7 @@ from .nmpc import NMPC as NMPC
 from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .policy import Policy as Policy, Training as Training
+from .safety_filter import SafetyFilter as SafetyFilter
 from .scaling import Scaled as Scaled
 from .spc import SPC as SPC, GammaDDPC as GammaDDPC
 from .spsa import SPSA as SPSA

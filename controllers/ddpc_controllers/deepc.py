@@ -24,22 +24,17 @@ from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.hankel import (
     ONE,
     WindowLayout,
-    diagnose,
+    informative_windows,
     least_samples,
     matching_recording,
-    require_excitation,
-    require_length,
     resting_input,
     samples_before,
     signals_of,
-    signals_that_move,
-    window_starts,
 )
 from ddpc_controllers.data.instruments import (
     Instruments,
     predict_all_at_once,
-    predict_one_by_one,
-    require_free_inputs,
+    predict_from_head,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_predictor, fit_by_windows, judge
@@ -50,6 +45,7 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_li
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
+from ddpc_controllers.optimisation.tightening import Promise, without_present
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
@@ -74,7 +70,7 @@ _UNEXPLAINED = 0.3
 
 
 @dataclass(kw_only=True)
-class BehavioralTracking(Foresight, ScaledSignals):
+class BehavioralTracking(Promise, Foresight, ScaledSignals):
     """Predict with recorded windows, track the reference; a subclass says how windows are combined.
 
     What a subclass sets, in the order of the calls:
@@ -272,7 +268,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
         online = self._learner.data.counts() if self._learner else {}
-        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online}
+        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online, **self.promised()}
 
     @abstractmethod
     def _write_down(self, loop: Loop) -> Problem:
@@ -350,30 +346,17 @@ class BehavioralTracking(Foresight, ScaledSignals):
 
     def _stack(self, recording: Recording) -> FloatArray:
         """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
-        who = type(self).__name__
-        depth = self.initial_length + self.horizon
-        order = self._order_needed(self._method_loop.controlled)
-        moved = signals_that_move(recording)
-        require_length(len(moved), order, moved.shape[1], who, recording.seams, recording.d.shape[1])
-        data = self._layout.stack(signals_of(recording), recording.seams)
-        windows = np.delete(data, self._rows_of(ONE, recording), axis=0)
-        self._diagnostics = diagnose(windows, moved, order, recording.seams)
-        why = f"depth {depth} + assumed order {order - depth}"
-        require_excitation(self._diagnostics, why, who, recording.d.shape[1])
+        order, depth = self._order_needed(self._method_loop.controlled), self.initial_length + self.horizon
+        data, self._diagnostics = informative_windows(
+            self._layout, recording, order, depth, type(self).__name__
+        )
         return data
 
     def _predictor(self, data: FloatArray, recording: Recording, windows: int | None = None) -> FloatArray:
         """Return the instrumented predictor, shape (N p, rows above those of y), of the first windows."""
-        future, known = self.horizon * recording.y.shape[1], self._past_outputs
         if self.instruments == "open-loop":
-            return predict_all_at_once(data[:, :windows], future)
-        signals, seams, end = signals_of(recording), recording.seams, len(recording)
-        if windows is None:
-            require_free_inputs(signals, seams, known, type(self).__name__)
-        else:
-            end = int(window_starts(end, self._layout.depth, seams)[windows - 1]) + self._layout.depth
-        head = {name: values[:end] for name, values in signals.items()}
-        return predict_one_by_one(head, [seam for seam in seams if seam < end], self._layout, known)
+            return predict_all_at_once(data[:, :windows], self.horizon * recording.y.shape[1])
+        return predict_from_head(recording, self._layout, self._past_outputs, type(self).__name__, windows)
 
     def _test(self, data: FloatArray, recording: Recording) -> PredictionTest | None:
         """Return how well the outputs at the end of the horizon are predicted."""
@@ -415,6 +398,9 @@ class BehavioralTracking(Foresight, ScaledSignals):
             terminal_length=self.initial_length if self.terminal_equality else 0,
             soft_output_bounds=self.soft_output_bounds,
         )
+        margins = self._drawn_in_by(loop, self.horizon)
+        if not self.use_current_output:
+            margins = without_present(margins)
         sizes = self._parameters.sizes
         past = {"u_ini": sizes["u_ini"], "y_ini": sizes["y_ini"]} | ({"sum_g": 1} if self._sums_g else {})
         disturbed = {D: sizes[D]} if D in sizes else {}
@@ -431,6 +417,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
             prefer_rest=prefer_rest,
             future_slack=future_slack,
             outlook=self._outlook,
+            margins=margins,
         )
 
     def _plan(self, sample: Sample) -> tuple[FloatArray, str]:

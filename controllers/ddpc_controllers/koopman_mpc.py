@@ -361,7 +361,9 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
         e = np.vstack([model.e, np.zeros_like(model.e)])
         self._predictor = Predictor(
-            *(a, b, c, e, model.f), self, loop, self._scales, self._method_loop.controlled
+            *(a, b, c, e, model.f),
+            *(self, loop, self._scales, self._method_loop.controlled),
+            self._drawn_in_by(loop, self.horizon),
         )
         self._begin(loop)
         if loop.continues_recording:
@@ -491,6 +493,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
             "spectral_radius": float(np.abs(np.linalg.eigvals(self._model.a)).max()),
             **self._model.fit,
             **self._judgement.diagnostics,
+            **self.promised(),
         }
 
     def _test(self, z: FloatArray, recording: Recording) -> PredictionTest | None:

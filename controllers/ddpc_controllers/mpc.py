@@ -75,6 +75,8 @@ class Predictor:
         What one unit of each input and output of the model is.
     controlled : int
         How many of the outputs are controlled; the others are paid for.
+    margins : array, shape (N, p, 2), optional
+        By how much the limits of the outputs are drawn in.
 
     Attributes
     ----------
@@ -99,6 +101,7 @@ class Predictor:
         loop: Loop,
         scales: Scales,
         controlled: int,
+        margins: FloatArray | None = None,
     ) -> None:
         n, m, p, n_d = len(a), b.shape[1], len(c), e.shape[1]
         self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
@@ -127,6 +130,7 @@ class Predictor:
             known={**{name: name for name in known}, **course},
             prefer_rest=True,
             outlook=self._outlook,
+            margins=margins,
         )
         problem.ask(u=m)
         problem.ask(y=-p)
@@ -236,6 +240,7 @@ class MPC(TrackingSettings, ModelBased):
         self._predictor = Predictor(
             *(model.a, model.b, model.c, model.e, model.f),
             *(self, loop, self._scales, self._method_loop.controlled),
+            self._drawn_in_by(loop, self.horizon),
         )
 
     @property
@@ -263,7 +268,7 @@ class MPC(TrackingSettings, ModelBased):
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""
         a = self._observer.a[:-1, :-1]
         poles = {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
-        return {**poles, **super().diagnostics()}
+        return {**poles, **super().diagnostics(), **self.promised()}
 
     def _faults_between_settings(self) -> list[str]:
         return super()._faults_between_settings() + self.tracking_faults()

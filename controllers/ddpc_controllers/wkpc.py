@@ -33,6 +33,7 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, action, make_law, predicted_ends
+from ddpc_controllers.optimisation.tightening import Promise, without_present
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
@@ -53,7 +54,7 @@ _KEPT_SMALL = 1e-3
 
 
 @dataclass(kw_only=True)
-class WKPC(OnlineSettings, Foresight, ScaledSignals):
+class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
@@ -270,7 +271,7 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
         online = self._learner.data.counts() if self._learner else {}
-        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online}
+        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online, **self.promised()}
 
     def _faults_between_settings(self) -> list[str]:
         faults = []
@@ -332,6 +333,7 @@ class WKPC(OnlineSettings, Foresight, ScaledSignals):
             sizes,
             known={name: self._outlook.course if name == D else name for name in past},  # (10)
             outlook=self._outlook,
+            margins=without_present(self._drawn_in_by(loop, self.horizon)),
         )
         if self.regulariser == "ridge":
             problem.regularise(self.lambda_g)

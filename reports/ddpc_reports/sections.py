@@ -45,6 +45,7 @@ from ddpc_reports.figures.figure import (
 )
 from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.figures.planes import plane_figure
+from ddpc_reports.figures.promises import promise_figures, promise_table
 from ddpc_reports.figures.trade import trade_figure
 from ddpc_reports.numbers import given_time
 from ddpc_reports.reliability import (
@@ -790,7 +791,11 @@ def _response_blocks(condition: Condition, prefix: str) -> list[Block]:
 def _limits_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return []
-    return [*_statements(findings(condition, "limits")), *_tables(limits_table(condition, prefix))]
+    return [
+        *_statements(findings(condition, "limits")),
+        *_figures(promise_figures(condition, prefix), prefix),
+        *_tables(promise_table(condition, prefix), limits_table(condition, prefix)),
+    ]
 
 
 def _key_figures_blocks(condition: Condition, prefix: str) -> list[Block]:

@@ -21,6 +21,7 @@ from ddpc_controllers import (
     Group,
     OffsetFree,
     Policy,
+    SafetyFilter,
     Scaled,
 )
 from ddpc_cosim import Controller, export_controller
@@ -66,6 +67,7 @@ WRAPPERS: dict[str, Callable[[], Controller]] = {
     "nmpc": lambda: NMPC(model=f"{plant_models.__name__}:REFERENCE", horizon=5),
     "offset-free": lambda: OffsetFree(controller=WKPC()),
     "policy": lambda: Policy(file=proportional(), horizon=0),
+    "safety-filter": lambda: SafetyFilter(controller=PID(proportional=1.0, integral=1.0)),
     "scaled": lambda: Scaled(controller=DeePC()),
 }
 

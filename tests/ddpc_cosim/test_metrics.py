@@ -359,6 +359,13 @@ def test_bounds_of_the_output_are_measured_on_both_sides() -> None:
     trace = trace_of([0] * 5, [3, -4, 1, 2, 99], y_limits=(-1.0, 2.0))
     assert figure(trace, "bound_violation_max") == pytest.approx(3.0)
     assert figure(trace, "bound_violation_time") == pytest.approx(2 * H)
+    assert figure(trace, "limits_kept") == 50.0
+
+
+def test_without_limits_there_is_no_share_in_which_they_are_kept() -> None:
+    assert math.isnan(figure(trace_of([0] * 5, [3, -4, 1, 2, 99]), "limits_kept"))
+    one_sided = trace_of([0] * 5, [3, -4, 1, 2, 99], y_limits=(-math.inf, 2.0))
+    assert figure(one_sided, "limits_kept") == 75.0
 
 
 def test_changes_of_the_input_start_from_its_value_at_rest() -> None:

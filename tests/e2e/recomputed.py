@@ -96,6 +96,7 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
         table |= {
             f"mean_abs_error.{name} [{unit}]": factor * math.fsum(map(abs, errors)) / len(errors),
             f"rmse.{name} [{unit}]": factor * math.sqrt(math.fsum(e * e for e in errors) / len(errors)),
+            f"limits_kept.{name} [%]": kept_share(folder, output),
         }
         if edges := band_of(folder, output):
             hours = read_case(folder)[0]["sampling_time"] / 3600
@@ -121,6 +122,21 @@ def response_of(folder: Path, output: dict[str, Any]) -> list[float]:
     """Return an output over the samples that were held, in its own unit."""
     _, columns = read_case(folder)
     return columns[f"{output['name']} [{output['unit'] or '1'}]"][:-1]
+
+
+def kept_share(folder: Path, output: dict[str, Any]) -> float:
+    """Return in which share of these samples an output is within its limits [%]; NaN without limits."""
+    run, columns = read_case(folder)
+    header, values = f"{output['name']} [{output['unit'] or '1'}]", response_of(folder, output)
+    place = [variable["name"] for variable in run["outputs"]].index(output["name"])
+    sides = [
+        columns.get(f"{side} {header}", [float(run["bounds"][f"y_{side}"][place])] * len(values))
+        for side in ("min", "max")
+    ]
+    if not any(math.isfinite(limit) for limits in sides for limit in limits):
+        return NAN
+    kept = [low <= y <= high for low, y, high in zip(sides[0], values, sides[1], strict=False)]
+    return 100.0 * sum(kept) / len(kept)
 
 
 def band_of(folder: Path, output: dict[str, Any]) -> list[tuple[float, float]]:

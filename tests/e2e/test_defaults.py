@@ -39,6 +39,7 @@ REASONS: dict[str, str] = {
     "pid": f'{BY_HAND}; with tuning = "step-test" it takes them from the recording',
     "plant": "it is whatever control the plant has of its own",
     "policy": "it is whatever the file that it is told holds",
+    "safety-filter": "it is about another controller",
     "scaled": "it is about another controller",
     "spsa": f"{BY_HAND}, and only their size is tuned",
     "wkpc-published": "it is what the authors' program does, whose ridge pulls every output to zero",

@@ -233,6 +233,40 @@ class WindowLayout:
         return np.flatnonzero(names == signal)
 
 
+def informative_windows(
+    layout: WindowLayout, recording: Recording, order: int, depth: int, who: str
+) -> tuple[FloatArray, DataDiagnostics]:
+    """Return M of a recording that excites the plant up to an order, and what it says about the plant.
+
+    Parameters
+    ----------
+    layout : WindowLayout
+        How windows are stacked.
+    recording : Recording
+        The experiment.
+    order : int
+        Order of persistency of excitation that is needed.
+    depth : int
+        How much of it is samples of a window; the rest is the assumed order of the plant.
+    who : str
+        Who asks.
+
+    Raises
+    ------
+    DataError
+        It is too short, or does not excite that much.
+    """
+    moved, disturbances = signals_that_move(recording), recording.d.shape[1]
+    require_length(len(moved), order, moved.shape[1], who, recording.seams, disturbances)
+    data = layout.stack(signals_of(recording), recording.seams)
+    widths = {name: values.shape[1] for name, values in signals_of(recording).items()}
+    windows = np.delete(data, layout.rows_of(ONE, widths), axis=0)
+    diagnostics = diagnose(windows, moved, order, recording.seams)
+    why = f"depth {depth} + assumed order {order - depth}"
+    require_excitation(diagnostics, why, who, disturbances)
+    return data, diagnostics
+
+
 class WindowBuffer:
     """The newest window of every signal.
 

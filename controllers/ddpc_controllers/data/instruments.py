@@ -22,8 +22,14 @@ from typing import Literal
 
 import numpy as np
 
-from ddpc_controllers.data.hankel import ONE, WindowLayout, require_informative
-from ddpc_cosim import FloatArray
+from ddpc_controllers.data.hankel import (
+    ONE,
+    WindowLayout,
+    require_informative,
+    signals_of,
+    window_starts,
+)
+from ddpc_cosim import FloatArray, Recording
 
 Instruments = Literal["none", "open-loop", "closed-loop"]
 
@@ -74,6 +80,25 @@ def predict_one_by_one(
         past = [window[name][first * widths[name] :][: k * widths[name]] for name, k in lengths.items()]
         window["y"] = np.vstack([window["y"], coefficients[disturbances] @ np.vstack([*past, window[ONE]])])
     return window["y"][known * widths["y"] :]
+
+
+def predict_from_head(
+    recording: Recording, layout: WindowLayout, known: int, who: str, windows: int | None = None
+) -> FloatArray:
+    """Return :func:`predict_one_by_one` of the samples of the first windows of a recording, or of all of it.
+
+    Raises
+    ------
+    DataError
+        The newest input follows from all else: see :func:`require_free_inputs`. It is asked of all of it.
+    """
+    signals, seams, end = signals_of(recording), recording.seams, len(recording)
+    if windows is None:
+        require_free_inputs(signals, seams, known, who)
+    else:
+        end = int(window_starts(end, layout.depth, seams)[windows - 1]) + layout.depth
+    head = {name: values[:end] for name, values in signals.items()}
+    return predict_one_by_one(head, [seam for seam in seams if seam < end], layout, known)
 
 
 def require_free_inputs(

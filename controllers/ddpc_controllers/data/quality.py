@@ -37,11 +37,14 @@ class Judgement(NamedTuple):
         How well it lets the method predict; empty where that was not tested.
     errors : array, shape (n, p), optional
         See :class:`PredictionTest`; None where that was not tested.
+    residuals : array, shape (windows, n, p), optional
+        Likewise.
     """
 
     warnings: tuple[str, ...] = ()
     diagnostics: Mapping[str, float] = {}
     errors: FloatArray | None = None
+    residuals: FloatArray | None = None
 
 
 class Span(NamedTuple):
@@ -74,11 +77,14 @@ class PredictionTest(NamedTuple):
         The same over the rest, which it was fitted to.
     errors : array, shape (n, p)
         Over the tail, of every output, row i of predictions i + 1 samples after the last known output.
+    residuals : array, shape (windows, n, p)
+        Outputs less their predictions themselves, over the tail, in the units of the outputs.
     """
 
     error: float
     fitted: float
     errors: FloatArray
+    residuals: FloatArray
 
 
 def judge(
@@ -110,12 +116,12 @@ def judge(
     figures = {"prediction_error": test.error, "prediction_error_fitted": test.fitted}
     verdict = judge_prediction(test.error, test.fitted)
     if not verdict.startswith("poor"):
-        return Judgement(late, figures, test.errors)
+        return Judgement(late, figures, test.errors, test.residuals)
     poor = (
         f"{who}: {horizon} samples ahead it is off by {100 * test.error:.0f} % of the output's standard "
         f"deviation on the recording's last quarter, held out; {verdict}"
     )
-    return Judgement((*late, poor), figures, test.errors)
+    return Judgement((*late, poor), figures, test.errors, test.residuals)
 
 
 def fit_by_windows(
@@ -322,4 +328,4 @@ def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTe
     size = _deviations(y)
     errors, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
     worst = int(np.argmax(errors[-1]))
-    return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors)
+    return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors, tail)

@@ -11,6 +11,7 @@ from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName
 from ddpc_controllers.optimisation.outlook import BAND, PRICE, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import BAND_OF_Y, Blocks, Problem, sample_by_sample
+from ddpc_controllers.optimisation.tightening import Promise, tightened
 from ddpc_cosim import (
     Bounds,
     Factor,
@@ -36,7 +37,7 @@ _TERMINAL, _OUTPUTS = 1e2, 1e4
 
 
 @dataclass(kw_only=True)
-class TrackingSettings(Foresight):
+class TrackingSettings(Promise, Foresight):
     """What a predictive controller minimises, in the terms of (8) and (11)."""
 
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(3, 20))
@@ -88,6 +89,7 @@ def tracking_problem(
     prefer_rest: bool = False,
     future_slack: float = 0.0,
     outlook: Outlook | None = None,
+    margins: FloatArray | None = None,
 ) -> Problem:
     """Write down cost, terminal condition and bounds.
 
@@ -133,6 +135,9 @@ def tracking_problem(
     outlook : Outlook, optional
         Bands, moving limits and prices, whose windows are among the parameters. Disturbances are rows of
         ``past`` and equal a parameter, which ``known`` says. Default: there are none.
+    margins : array, shape (N, p, 2), optional
+        By how much the limits of predicted outputs are drawn in, lower and upper, and those of the artificial
+        setpoint by that of the horizon's end; default: not at all.
 
     Raises
     ------
@@ -195,7 +200,7 @@ def tracking_problem(
         if settings.terminal_length and setpoint in free:  # the horizon's end is at the setpoints
             last = slice(-settings.terminal_length * held.shape[1], None)
             problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {}, _TERMINAL * largest)
-    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest, outlook)
+    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest, outlook, margins)
     if outlook:
         _hold_in_bands(problem, outlook, in_bands, np.diag(q), future_y)
         _pay(problem, outlook, {"u": m, "y": p}, future_y)
@@ -213,6 +218,7 @@ def _bound_signals(
     future_y: str,
     relaxed: float,
     outlook: Outlook | None,
+    margins: FloatArray | None,
 ) -> None:
     """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
@@ -236,6 +242,9 @@ def _bound_signals(
             moving = outlook.moving(name, bounds) if outlook else None
             if moving and name.endswith("_s"):
                 moving = _mixed(moving, lower, upper, margin)
+            if margins is not None and name[0] == "y":
+                of_samples = margins if name == "y" else margins[-1:]
+                lower, upper, moving = tightened(lower, upper, of_samples, moving)
             problem.bound(variable, lower, upper, excess, name, gives_way, moving)
 
 

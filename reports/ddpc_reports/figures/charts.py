@@ -161,6 +161,34 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
 
 
+def promise_chart(rows: list[dict[str, Any]], title: str) -> Spec:
+    """Return a strip of one point per seed for each controller, their mean and what was promised marked.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``label``, ``key``, ``value``, ``promise`` (bool: it is what was promised), in the order of the
+        controllers.
+    title : str
+        What the values are, and their unit.
+    """
+    labels, hue, y = _rows(rows)
+    place = {"x": field("value", title) | {"scale": {"zero": False, "nice": True}}, "y": y}
+    mean = {"aggregate": [{"op": "mean", "field": "value", "as": "value"}], "groupby": ["label"]}
+    seeds, middle = (
+        {"type": "circle", "size": 34, "opacity": 0.5},
+        {"type": "tick", "thickness": 2.5, "size": 14},
+    )
+    promise = {"type": "point", "shape": "triangle-up", "filled": True, "size": 60, "color": "var(--limit)"}
+    measured = {"filter": "!datum.promise"}
+    layers = [
+        layer(seeds, {**place, "color": hue}, None, _NOT_HIDDEN, measured),
+        layer(middle | {"color": "var(--ink)"}, place, None, _NOT_HIDDEN, measured, mean),
+        layer(promise, place, None, _NOT_HIDDEN, {"filter": "datum.promise"}),
+    ]
+    return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
+
+
 def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
     """Return median, 95 %, 99 % and longest step time of each controller, and the sampling time.
 
