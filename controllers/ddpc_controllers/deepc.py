@@ -167,9 +167,9 @@ class BehavioralTracking(Foresight, ScaledSignals):
         self._judgement = judge(
             type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
         )
-        if self.instruments != "none":
-            known = data[: len(data) - self.horizon * p]
-            data = np.vstack([known, self._predictor(data, recording) @ known])
+        if self._has_predictor:
+            predictor, known = self._predictor(data, recording), data[: len(data) - self.horizon * p]
+            data = np.vstack([known, predictor @ known])
         self._outlook = Outlook(
             loop,
             self,
@@ -290,6 +290,11 @@ class BehavioralTracking(Foresight, ScaledSignals):
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
 
     @property
+    def _has_predictor(self) -> bool:
+        """Whether outputs are those of a predictor of its own, which leaves nothing of them open."""
+        return self.instruments != "none"
+
+    @property
     def _past_ridge(self) -> float:
         """The ridge on the past outputs in the prediction for given inputs."""
         return 0.0
@@ -379,7 +384,7 @@ class BehavioralTracking(Foresight, ScaledSignals):
         """Return how well the outputs at the end of the horizon are predicted."""
         p, depth = recording.y.shape[1], self._layout.depth
         future = self.horizon * p
-        if self.instruments != "none":
+        if self._has_predictor:
             return fit_by_predictor(
                 lambda windows: self._predictor(data, recording, windows), data, future, p, depth
             )
