@@ -35,6 +35,7 @@ from .nmpc import NMPC as NMPC
 from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .scaling import Scaled as Scaled
+from .select_dpc import SelectDPC as SelectDPC
 from .spc import SPC as SPC, GammaDDPC as GammaDDPC
 from .spsa import SPSA as SPSA
 from .wkpc import WKPC as WKPC

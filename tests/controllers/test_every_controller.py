@@ -28,6 +28,7 @@ from ddpc_controllers import (
     KoopmanMPC,
     OffsetFree,
     Scaled,
+    SelectDPC,
 )
 from ddpc_controllers.optimisation.qp import StepInfo
 from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
@@ -43,6 +44,7 @@ VARIANTS: list[Any] = [
     DeePC(online_data="sliding-window", dither=0.2, use_current_output=True),
     SPC(),
     SPC(predictor="causal", uncertainty=True),
+    SelectDPC(),
     GammaDDPC(),
     WKPC(),
     PublishedWKPC(),
@@ -61,6 +63,7 @@ IDS = [
     "deepc-online",
     "spc",
     "spc-causal",
+    "select-dpc",
     "gamma-ddpc",
     "wkpc",
     "wkpc-published-code",
