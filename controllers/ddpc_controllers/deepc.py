@@ -596,7 +596,7 @@ class DeePC(OnlineSettings, BehavioralTracking):
     def _free_response(self, loop: Loop, problem: Problem) -> Mapping[str, Blocks]:
         """Return the data rows of the past as it goes on with its last input held, by least squares."""
         recording = matching_recording(loop, type(self).__name__)
-        data, future = self._layout.stack(signals_of(recording), recording.seams), problem.rows["y"]
+        data, future = self._stack(recording), problem.rows["y"]
         predictor = (
             self._predictor(data, recording) if self._has_predictor else predict_all_at_once(data, future)
         )

@@ -36,8 +36,7 @@ Compared = Literal["all", "outputs"]
 class SelectDPC(BehavioralTracking):
     """Subspace predictive control on the recorded windows nearest to what is happening, for nonlinear plants.
 
-    With all windows chosen it is SPC whose entries of g sum to 1. A step factorises the chosen windows anew,
-    which takes a thousand times as long as a step of SPC.
+    With all windows chosen it is SPC whose entries of g sum to 1. A step factorises the chosen windows anew.
     """
 
     use_current_output: bool = setting(
