@@ -37,6 +37,7 @@ from .pid import PID as PID
 from .policy import Policy as Policy, Training as Training
 from .safety_filter import SafetyFilter as SafetyFilter
 from .scaling import Scaled as Scaled
+from .select_dpc import SelectDPC as SelectDPC
 from .spc import SPC as SPC, GammaDDPC as GammaDDPC
 from .spsa import SPSA as SPSA
 from .wkpc import WKPC as WKPC

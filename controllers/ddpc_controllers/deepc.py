@@ -8,7 +8,10 @@ model predictive control with stability and robustness guarantees*, IEEE TAC 66(
 The regulariser about the combination of an equilibrium is theirs too: *Linear tracking MPC for nonlinear
 systems, part II: the data-driven case*, IEEE TAC 67(9), 2022 (arXiv:2105.08567). They draw to an equilibrium
 that is known to be reachable. Here it is optimised, and noisy data can be combined to any (u_s, y_s): without
-a price on what the least-squares prediction does not explain of it, the loop drifts.
+a price on what the least-squares prediction does not explain of it, the loop drifts. Free and forced response
+apart, the one from least squares and the other from the data, are those of M. Lazar, P. C. N. Verheijen,
+*Generalized data-driven predictive control: merging subspace and Hankel predictors*, Mathematics 11(9), 2023,
+2216, doi:10.3390/math11092216 (arXiv:2304.01418).
 """
 
 import copy
@@ -63,7 +66,7 @@ from ddpc_cosim import (
     setting,
 )
 
-Regulariser = Literal["ridge", "equilibrium", "projection", "l1"]
+Regulariser = Literal["ridge", "equilibrium", "free-response", "projection", "l1"]
 
 _UNEXPLAINED = 0.3
 """Weight of |(I - Pi) g_s|^2 in parts of lambda_g: with less than 0.1 loops drift, more than 1 is a bias."""
@@ -163,9 +166,9 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         self._judgement = judge(
             type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
         )
-        if self.instruments != "none":
-            known = data[: len(data) - self.horizon * p]
-            data = np.vstack([known, self._predictor(data, recording) @ known])
+        if self._has_predictor:
+            predictor, known = self._predictor(data, recording), data[: len(data) - self.horizon * p]
+            data = np.vstack([known, predictor @ known])
         self._outlook = Outlook(
             loop,
             self,
@@ -286,6 +289,11 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
 
     @property
+    def _has_predictor(self) -> bool:
+        """Whether outputs are those of a predictor of its own, which leaves nothing of them open."""
+        return self.instruments != "none"
+
+    @property
     def _past_ridge(self) -> float:
         """The ridge on the past outputs in the prediction for given inputs."""
         return 0.0
@@ -362,7 +370,7 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         """Return how well the outputs at the end of the horizon are predicted."""
         p, depth = recording.y.shape[1], self._layout.depth
         future = self.horizon * p
-        if self.instruments != "none":
+        if self._has_predictor:
             return fit_by_predictor(
                 lambda windows: self._predictor(data, recording, windows), data, future, p, depth
             )
@@ -476,7 +484,9 @@ class DeePC(OnlineSettings, BehavioralTracking):
     ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` ``|g|^2``; ``"equilibrium"``
     ``|g - g_s|^2 + 0.3 |(I - Pi) g_s|^2``, g_s(u_s, y_s) being the smallest combination that is at the
     artificial setpoint all along, past and future: being there costs nothing, as far as the data say that the
-    plant rests there; ``"projection"`` ``|(I - Pi) g|^2``, only what goes beyond the least-squares
+    plant rests there; ``"free-response"`` ``|g - g_f|^2``, g_f being the smallest combination with the past
+    that goes on as the least-squares prediction does with the last input held: what the plan adds to it is
+    forced by the data; ``"projection"`` ``|(I - Pi) g|^2``, only what goes beyond the least-squares
     prediction; ``"l1"`` ``|g|_1``, for which no condensed form is known: the full problem is solved by PIQP's
     sparse backend at every sample, at a cost that grows with the recording, and where that fails the last
     input is held.
@@ -527,6 +537,11 @@ class DeePC(OnlineSettings, BehavioralTracking):
                 "DeePC: regulariser = 'l1' has no condensed form to update; use another regulariser or "
                 "online_data = 'frozen'"
             )
+        if self.online_data != "frozen" and self.regulariser == "free-response":
+            faults.append(
+                "DeePC: regulariser = 'free-response' predicts from the recording, which online_data would "
+                "not update: use another regulariser or online_data = 'frozen'"
+            )
         if self.online_data != "frozen" and self.instruments != "none":
             faults.append(
                 f"DeePC: instruments = {self.instruments!r} make a predictor of the recording, which "
@@ -537,7 +552,8 @@ class DeePC(OnlineSettings, BehavioralTracking):
     @property
     def _past_ridge(self) -> float:
         # min lambda_g |g|^2 + lambda_sigma |Y_p g - y_ini|^2 with the inputs met exactly. With the projection
-        # the past is met without loss; the equilibrium depends on the setpoint, and |g|_1 has no such form.
+        # and about the free response the past is met without loss; the equilibrium depends on the setpoint,
+        # and |g|_1 has no such form.
         return self.lambda_g / self.lambda_sigma if self.regulariser == "ridge" and self.slack else 0.0
 
     @property
@@ -558,9 +574,34 @@ class DeePC(OnlineSettings, BehavioralTracking):
         elif self.regulariser == "equilibrium":
             weights = {"y": _UNEXPLAINED * self.lambda_g}
             problem.regularise_about(self._rows_at_rest(loop), self.lambda_g, weights)
+        elif self.regulariser == "free-response":
+            problem.regularise_about(self._free_response(loop, problem), self.lambda_g, {})
         elif self.regulariser == "ridge":
             problem.regularise(self.lambda_g)
         return problem
+
+    def _free_response(self, loop: Loop, problem: Problem) -> Mapping[str, Blocks]:
+        """Return the data rows of the past as it goes on with its last input held, by least squares."""
+        recording = matching_recording(loop, type(self).__name__)
+        data, future = self._stack(recording), problem.rows["y"]
+        predictor = (
+            self._predictor(data, recording) if self._has_predictor else predict_all_at_once(data, future)
+        )
+        past, m = problem.rows["u_ini"], len(loop.inputs)
+        known: dict[str, Blocks] = {
+            "u_ini": {"u_ini": np.eye(past)},
+            "y_ini": {"y_ini": np.eye(problem.rows["y_ini"])},
+            "sum_g": {"one": np.eye(1)},
+            D: self._outlook.course,
+            "u": {"u_ini": np.tile(np.eye(m, past, past - m), (self.horizon, 1))},
+        }
+        known = {name: blocks for name, blocks in known.items() if name in problem.rows}
+        y: dict[str, FloatArray] = {}
+        ends = np.cumsum([problem.rows[name] for name in known])[:-1]
+        for coefficients, blocks in zip(np.split(predictor, ends, axis=1), known.values(), strict=True):
+            for name, block in blocks.items():
+                y[name] = y.get(name, 0.0) + coefficients @ block
+        return {**known, "y": y}
 
     def _rows_at_rest(self, loop: Loop) -> Mapping[str, Blocks]:
         """Return the data rows of a plant that rests at the artificial setpoint (u_s, y_s)."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+import piqp
 import pytest
 from scipy.optimize import linprog
 
@@ -371,3 +372,73 @@ class Told(Controller):
         assert isinstance(answer, Action)
         self.infos.append(dict(answer.info))
         return answer
+
+
+@pytest.mark.parametrize("limit", [1.2, 50.0])
+@pytest.mark.parametrize("current", [True, False])
+@pytest.mark.parametrize("slack", [True, False])
+def test_free_and_forced_response_apart(slack: bool, current: bool, limit: float) -> None:
+    """The problem of Lazar and Verheijen, every entry of its g: the plan is the baseline and ``U_f g``.
+
+    The baseline output is predicted by least squares, what is added to it by the Hankel matrix, whose past
+    inputs are zero and whose past outputs are sigma.
+    """
+    rng, past, n, q, r, lambda_g, lambda_sigma = np.random.default_rng(4), 3, 5, 50.0, 0.1, 2.0, 30.0
+    plain = pendulum_experiment(2)
+    noisy = plain.y[:90] + 0.02 * rng.standard_normal((90, 1))
+    recording, known = Recording(plain.u[:90], noisy, noisy, 0.1), past + current
+    controller = DeePC(
+        regulariser="free-response",
+        slack=slack,
+        use_current_output=current,
+        lambda_g=lambda_g,
+        lambda_sigma=lambda_sigma,
+        output_weight=q,
+        input_weight=r,
+        **REGULATION,
+    )
+    loop = make_loop(recording, np.array([limit]), np.array([np.inf]))
+    run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 40)
+    u, y = (
+        np.array([signal[j + first : j + first + length, 0] for j in range(90 - known - n + 1)]).T
+        for signal, first, length in ((recording.u, 0, past + n), (recording.y, 0, known + n))
+    )
+    u_p, u_f, y_p, y_f = u[:past], u[past:], y[:known], y[known:]
+    predictor = y_f @ np.linalg.pinv(np.vstack([u_p, y_p, u_f]))
+    fixed = u_p if slack else np.vstack([u_p, y_p])
+    free = np.linalg.svd(fixed)[2][len(fixed) :].T  # g = free v
+    rows = np.vstack([q**0.5 * y_f, r**0.5 * u_f, lambda_g**0.5 * np.eye(len(free)), lambda_sigma**0.5 * y_p])
+    for k, sample in enumerate(run.samples):
+        u_ini = before(run.u, np.zeros(1), k, past)[:, 0]
+        y_ini = before(run.y, run.y[0], k + current, known)[:, 0]
+        u_b = np.repeat(u_ini[-1], n)
+        y_b = predictor @ np.concatenate([u_ini, y_ini, u_b])
+        target = np.zeros(len(rows))
+        target[: 2 * n] = np.concatenate([q**0.5 * (sample.reference[:, 0] - y_b), -(r**0.5) * u_b])
+        solver = piqp.DenseSolver()
+        for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
+            setattr(solver.settings, name, 1e-11)
+        cost, box = rows @ free, np.full(n, limit)
+        solver.setup(cost.T @ cost, -cost.T @ target, G=u_f @ free, h_l=-box - u_b, h_u=box - u_b)
+        assert solver.solve() == piqp.PIQP_SOLVED
+        planned = u_b + u_f @ free @ np.asarray(solver.result.x)
+        assert run.u[k, 0] == pytest.approx(planned[0], abs=1e-5)
+    assert (np.abs(run.u).max() > limit - 1e-9) == (limit < 2.0)
+
+
+def test_about_the_free_response_a_ridge_leaves_no_error_without_noise() -> None:
+    """A plan that only goes on costs nothing, wherever the plant rests; the ridge pulls it away."""
+    plant = LinearPlant(np.array([[0.8]]), np.array([[0.2]]), np.eye(1))
+    recording = experiment(plant.advance, np.random.default_rng(0).uniform(-1.0, 1.0, (60, 1)), 1, plant.c)
+    loop = make_loop(recording, np.array([3.0]), np.array([np.inf]))
+    left = {}
+    for regulariser in ("ridge", "free-response"):
+        controller = DeePC(regulariser=regulariser, lambda_g=20.0)  # type: ignore[arg-type]
+        run = close_loop(controller, loop, plant.advance, plant.c, np.full((140, 1), 0.5), 120)
+        left[regulariser] = abs(float(run.y[-1, 0]) - 0.5)
+    assert left["free-response"] < 1e-3 < 0.02 < left["ridge"]
+
+
+def test_a_free_response_is_that_of_the_recording() -> None:
+    with pytest.raises(ConfigError, match=r"regulariser = 'free-response' .* online_data = 'frozen'"):
+        DeePC(regulariser="free-response", online_data="sliding-window")

@@ -28,6 +28,7 @@ from ddpc_controllers import (
     KoopmanMPC,
     OffsetFree,
     Scaled,
+    SelectDPC,
 )
 from ddpc_controllers.optimisation.qp import StepInfo
 from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
@@ -42,6 +43,8 @@ VARIANTS: list[Any] = [
     DeePC(regulariser="equilibrium", apply_steps=2, rate_bounds=0.5, soft_output_bounds=1e3),
     DeePC(online_data="sliding-window", dither=0.2, use_current_output=True),
     SPC(),
+    SPC(predictor="causal", uncertainty=True),
+    SelectDPC(),
     GammaDDPC(),
     WKPC(),
     PublishedWKPC(),
@@ -59,6 +62,8 @@ IDS = [
     "deepc-options",
     "deepc-online",
     "spc",
+    "spc-causal",
+    "select-dpc",
     "gamma-ddpc",
     "wkpc",
     "wkpc-published-code",

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import piqp
 import pytest
+from scipy.linalg import toeplitz
 
 from ddpc_controllers import MFAC, MFAPC, SPC, DeePC, GammaDDPC, hankel_matrix
-from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
+from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Recording, Sample
 
 from .loops import (
     ANGLE,
@@ -97,6 +98,63 @@ def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording, curren
         hessian = free.T @ (weights[:, np.newaxis] * free) + np.diag(np.repeat([2e-3, 0.1], 5))
         gamma = np.linalg.solve(hessian, free.T @ (weights * target))
         assert run.u[k, 0] == pytest.approx((fixed + free @ gamma)[0], abs=1e-7)
+
+
+@pytest.mark.parametrize("current", [True, False])
+@pytest.mark.parametrize("torque", [10.0, 1.8])
+@pytest.mark.parametrize(
+    ("predictor", "uncertainty"), [("causal", False), ("causal", True), ("transient", False)]
+)
+def test_predictors_without_later_inputs(
+    paper_recording: Recording, predictor: str, uncertainty: bool, torque: float, current: bool
+) -> None:
+    """What is predicted and what of it is uncertain, both of one output after the other."""
+    horizon, rng = 6, np.random.default_rng(5)
+    noisy = paper_recording.y + 0.02 * rng.standard_normal(paper_recording.y.shape)
+    recording = Recording(paper_recording.u, noisy, noisy, 0.1)
+    controller = regulating_spc(
+        horizon=horizon,
+        output_weight=500.0,
+        input_weight=0.5,
+        use_current_output=current,
+        predictor=predictor,
+        uncertainty=uncertainty,
+    )
+    run = close_loop(
+        controller,
+        make_loop(recording, np.array([torque]), np.array([np.inf])),
+        quick_pendulum,
+        ANGLE,
+        paper_reference(),
+        60,
+    )
+    past, u, y = data_blocks(recording, 3, horizon, current)
+    columns, known = past.shape[1], len(past)
+    matrix, errors, givens = np.zeros((horizon, known + horizon)), np.zeros((horizon, columns)), []
+    for step in range(horizon):
+        inputs = step + current
+        given = np.vstack([past, u[:inputs], y[:step]] if predictor == "transient" else [past, u[:inputs]])
+        fitted = np.linalg.lstsq(given.T, y[step])[0]
+        matrix[step, : known + inputs] = fitted[: known + inputs]
+        matrix[step] += fitted[known + inputs :] @ matrix[: len(fitted) - known - inputs]
+        errors[step] = y[step] - matrix[step] @ np.vstack([past, u])
+        givens.append(np.linalg.pinv(np.vstack([past, u])[: known + inputs]))
+    spread = np.zeros((known + horizon, known + horizon))
+    l_33 = np.linalg.cholesky(errors @ errors.T / (columns - known - horizon))
+    for step, inverse in enumerate(givens):
+        shared = np.array([l_33[step, i : step + 1] @ l_33[step, : step + 1 - i] for i in range(step + 1)])
+        covariance = toeplitz(np.pad(shared, (0, columns - step - 1)))
+        size = inverse.shape[1]
+        spread[:size, :size] += 500.0 * uncertainty * inverse.T @ covariance @ inverse
+    root = np.linalg.cholesky(spread + 1e-14 * np.eye(len(spread))).T
+    response = np.vstack([matrix[:, known:], root[:, known:] / 500.0**0.5])
+    for k, sample in enumerate(run.samples):
+        now = past_of(run, k, 3, current)
+        free = np.concatenate(
+            [matrix[:, :known] @ now - sample.reference[:, 0], root[:, :known] @ now / 500.0**0.5]
+        )
+        optimum = tracked(response, free, 500.0, 0.5, torque)
+        assert run.u[k, 0] == pytest.approx(optimum[0], abs=1e-5)
 
 
 def test_a_high_price_of_gamma_3_gives_spc_back(paper_recording: Recording) -> None:
@@ -263,6 +321,7 @@ def test_of_inputs_that_do_the_same_the_setpoint_nearest_to_rest_is_chosen(
 
 
 CONTAINED: list[tuple[SPC, type[Controller]]] = [
+    (SPC(input_weight=0.01, predictor="transient", uncertainty=True, artificial_setpoint=False), GammaDDPC),
     (SPC(horizon=9, initial_length=4, input_weight=0.01, artificial_setpoint=False), GammaDDPC),
     (SPC(horizon=9, initial_length=4, input_weight=0.01, artificial_setpoint=False), DeePC),
     (SPC(horizon=7, input_weight=0.1, artificial_setpoint=True), GammaDDPC),
@@ -294,6 +353,8 @@ def test_what_no_settings_bring_about_is_not_told() -> None:
     assert spc.settings_as(DeePC, 2, 1, 100) is None  # among many setpoints SPC has a preference
     assert gamma.settings_as(DeePC, 1, 1, 100) is None
     assert gamma.settings_as(SPC, 1, 1, 100) is None
+    assert SPC(predictor="causal").settings_as(DeePC, 1, 1, 100) is None
+    assert SPC(uncertainty=True).settings_as(DeePC, 1, 1, 100) is None
 
 
 @pytest.mark.parametrize(("kind", "other"), [(SPC, GammaDDPC), (SPC, DeePC), (MFAC, MFAPC)])
@@ -303,3 +364,9 @@ def test_a_class_that_is_derived_may_do_something_else(
     assert kind().settings_as(other, 1, 1, 100) is not None
     assert type("Derived", (kind,), {})().settings_as(other, 1, 1, 100) is None
     assert kind().settings_as(type("Derived", (other,), {}), 1, 1, 100) is None
+
+
+def test_instruments_are_a_predictor_of_their_own() -> None:
+    for settings in ({"predictor": "causal"}, {"uncertainty": True}):
+        with pytest.raises(ConfigError, match=r"instruments = 'closed-loop' .* instruments = 'none'"):
+            SPC(instruments="closed-loop", **settings)  # type: ignore[arg-type]

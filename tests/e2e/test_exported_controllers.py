@@ -27,6 +27,7 @@ LONGEST = 250
 REFUSED = {
     "spsa": "it draws random perturbations of its gains for as long as it runs",
     "nmpc": "it solves a nonlinear program",
+    "select-dpc": "it factorises the windows that it chooses",
     "wkpc-published-code": "the program draws random centres",
     "deepc-online": "the data are factorised anew while the loop runs",
     "wkpc-online": "the data are factorised anew while the loop runs",

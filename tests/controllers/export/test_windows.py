@@ -64,6 +64,7 @@ SETTINGS: dict[str, Callable[[], BehavioralTracking]] = {
     "DeePC, past met": lambda: DeePC(slack=False, affine_sum="all", artificial_setpoint=False),
     "DeePC, robust": lambda: DeePC(future_slack=True, soft_output_bounds=1e3, setpoint_margin=0.8),
     "DeePC, equilibrium": lambda: DeePC(regulariser="equilibrium", affine_sum="all", horizon=8),
+    "DeePC, free response": lambda: DeePC(regulariser="free-response", affine_sum="all", horizon=8),
     "DeePC, plans": lambda: DeePC(apply_steps=3, rate_bounds=0.3, use_current_output=True, initial_length=4),
     "DeePC, terminal": lambda: DeePC(terminal_equality=True, slack=False, horizon=6, scaling="range"),
     "published": PublishedDeePC,
@@ -72,6 +73,7 @@ SETTINGS: dict[str, Callable[[], BehavioralTracking]] = {
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=10),
     "DeePC, closed loop": lambda: DeePC(instruments="closed-loop", regulariser="ridge"),
     "SPC, closed loop": lambda: SPC(instruments="closed-loop"),
+    "SPC, transient": lambda: SPC(predictor="transient", uncertainty=True),
 }
 
 

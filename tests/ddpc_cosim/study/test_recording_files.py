@@ -27,6 +27,7 @@ CONTROLLERS: Mapping[str, str] = {
     "deepc-published": "",
     "spc": "",
     "gamma-ddpc": "",
+    "select-dpc": "",
     "wkpc": "",
     "wkpc-published": "",
     "koopman-mpc": "",
