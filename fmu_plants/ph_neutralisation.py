@@ -1,4 +1,4 @@
-r"""Neutralisation of an acid by a base in a stirred tank, with a buffer: how far the pH goes depends on where it is.
+r"""Neutralisation of an acid by a base in a stirred tank, with a buffer: a gain that varies by ten.
 
 .. math::
     A h \, \dot W_a &= \sum_i q_i (W_{ai} - W_a), \qquad A h \, \dot W_b = \sum_i q_i (W_{bi} - W_b) \\
@@ -11,16 +11,16 @@ with the flows :math:`q_1` of acid (HNO3), :math:`q_2` of buffer (NaHCO3) and :m
 some NaHCO3), the level :math:`h`, and the reaction invariants of the tank: :math:`W_a` a balance of charges,
 :math:`W_b` all carbonate. M. A. Henson, D. E. Seborg, "Adaptive nonlinear control of a pH neutralization
 process", IEEE Trans. Control Systems Technology 2 (1994) 169-182, mixed ideally and without the dynamics of
-valve and electrode; with the outlet as above also in "Nonlinear Process Control", 1997, section 4.5. A = 207 cm2,
-C_v = 8.75 mL/s at 1 cm, pK_1 = 6.35, pK_2 = 10.25; acid, buffer and base have W_a = 3, -30 and -3.05 mmol/L, and
-W_b = 0, 30 and 0.05 mmol/L.
+valve and electrode; with the outlet as above also in their "Nonlinear Process Control", 1997, pages 207-210.
+A = 207 cm2, C_v = 8.75 mL/s at 1 cm, pK_1 = 6.35, pK_2 = 10.25; acid, buffer and base have W_a = 3, -30 and
+-3.05 mmol/L, and W_b = 0, 30 and 0.05 mmol/L.
 
 It begins at the published point: pH 7 with 16.6, 0.55 and 15.6 mL/s. The equation for the pH is solved once,
 for the start; from then on the pH is a state, such that c stays 0, or goes back there within T = 5 s:
 
 .. math::
-    \dot{\mathrm{pH}} = -\frac{(\partial c / \partial W_a) \, \dot W_a + (\partial c / \partial W_b) \, \dot W_b
-                               + c / T}{\partial c / \partial \mathrm{pH}}
+    \dot{\mathrm{pH}} = -\left(\frac{\partial c}{\partial W_a} \dot W_a + \frac{\partial c}{\partial W_b} \dot W_b
+                               + \frac{c}{T}\right) \Big/ \frac{\partial c}{\partial \mathrm{pH}}
 """
 
 from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, tunable
@@ -61,7 +61,13 @@ CARBONATE = Variable(
     "carbonate", "mmol/L", 0.0, nominal=1.0, start=START_CARBONATE, description="Reaction invariant W_b"
 )
 LEVEL = Variable(
-    "level", "cm", 0.0, 40.0, nominal=10.0, start=(TOTAL_FLOW / OUTLET) ** 2, description="Level h in the tank"
+    "level",
+    "cm",
+    0.0,
+    40.0,
+    nominal=10.0,
+    start=(TOTAL_FLOW / OUTLET) ** 2,
+    description="Level h in the tank",
 )
 PH = Variable("pH", "", 0.0, 14.0, nominal=1.0, start=_ph_at_rest(), description="pH in the tank")
 BASE, ACID, BUFFER = (
@@ -126,7 +132,10 @@ MODEL = PlantModel(
         ),
         *(
             tunable(
-                f"{name}_{kind}", "mmol/L", start=value, description=f"Reaction invariant {symbol} of the {name}"
+                f"{name}_{kind}",
+                "mmol/L",
+                start=value,
+                description=f"Reaction invariant {symbol} of the {name}",
             )
             for kind, symbol, values in (("charge", "W_a", CHARGES), ("carbonate", "W_b", CARBONATES))
             for name, value in values.items()

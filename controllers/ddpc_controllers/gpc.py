@@ -2,18 +2,18 @@
 
     min  sum_j=1..N |r_k+j - y_k+j|_Q^2 + sum_j=0..Nu-1 |du_k+j|_Lambda^2
 
-within the limits of the inputs and of their rates, the inputs changing at the first Nu samples. With the model
-of :mod:`~ddpc_controllers.models.recursive` the outputs to come are ``Y = E y_k + f + G dU``: f is what happens
-without further changes, G has the step response. Where no limit is active
+within the limits of the inputs and of their rates, the inputs changing at the first Nu samples. With the
+model of :mod:`~ddpc_controllers.models.recursive` the outputs to come are ``Y = E y_k + f + G dU``: f is what
+happens without further changes, G has the step response. Where no limit is active
 
     dU = (G'QG + Lambda)^-1 G'Q (R - E y_k - f),   u_k = u_k-1 + (the first change of dU).
 
 D. W. Clarke, C. Mohtadi, P. S. Tuffs, Generalized predictive control, parts I and II, Automatica 23(2), 1987,
-doi:10.1016/0005-1098(87)90087-2 (equations (10) and (12)) and 90088-4 (the observer polynomial). There G and f
-come from a Diophantine equation; here the model is run over the horizon, which gives the same.
+doi:10.1016/0005-1098(87)90087-2 and 90088-4. There G and f come from a Diophantine equation; here the model
+is run over the horizon, which gives the same.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import ClassVar, Literal
@@ -56,8 +56,8 @@ class GPC(ScaledSignals):
     """Adaptive generalised predictive control.
 
     It begins with the least squares of a recording, or with a gradient and no recording, and learns on. A
-    measurement that is not finite is a fallback: the inputs are held, and nothing is learned before the model's
-    past is known again; the estimates stay.
+    measurement that is not finite is a fallback: the inputs are held, and nothing is learned before the
+    model's past is known again; the estimates stay.
     """
 
     accepts_missing: ClassVar[bool] = True
@@ -82,7 +82,11 @@ class GPC(ScaledSignals):
         search=Linear(0.0, 0.95),
     )
     forgetting_factor: float = setting(
-        0.99, above=0.0, high=1.0, doc="lambda: weight that each sample leaves to those before", search=Linear(0.9, 1.0)
+        0.99,
+        above=0.0,
+        high=1.0,
+        doc="lambda: weight that each sample leaves to those before",
+        search=Linear(0.9, 1.0),
     )
     covariance_limit: float = setting(
         1e3, above=0.0, doc="nothing is forgotten where the covariance's trace would exceed this"
@@ -97,8 +101,8 @@ class GPC(ScaledSignals):
     )
     initial_gradient: Weight = setting(
         0.1,
-        doc="without a recording, with the sign of the control direction: a number or a list for the diagonal, "
-        "p x m for the latest input changes, or p x (p Ly + m Lu) in the order of the model",
+        doc="without a recording, with the sign of the control direction: a number or a list for the "
+        "diagonal, p x m for the latest input changes, or p x (p Ly + m Lu) in the order of the model",
     )
     initial_covariance: float = setting(
         100.0, above=0.0, doc="diagonal of the covariance before the first sample, recorded ones included"
@@ -183,8 +187,8 @@ class GPC(ScaledSignals):
         if len(regressors) < lengths.terms:
             raise DataError(
                 f"GPC: the recording has {len(recording)} samples, of which {len(regressors)} can be learned "
-                f"from; its models take at least {needed} in one piece: record longer, or lower output_length "
-                "or input_length"
+                f"from; its model takes at least {needed} in one piece: record longer, or lower "
+                "output_length or input_length"
             )
         newest = slice(first := lengths.outputs * lengths.output_length, first + lengths.inputs)
         require_informative(regressors[:, newest], np.delete(regressors, newest, axis=1), "GPC")

@@ -78,7 +78,7 @@ class LinearisedPrediction:
         known : sequence of float
             dy_k, dy_k-1, ... (Ly of them), then du_k-1, du_k-2, ... (Lu - 1 of them).
         acting : array, shape (N p,), optional
-            What else changes the outputs at each sample, where there are known changes at all; default: nothing.
+            What else changes the outputs at each sample, where there are known changes; default: nothing.
 
         Returns
         -------

@@ -3,8 +3,8 @@
     dy_k+1 = theta' phi_k + e_k+1 - c e_k,
     phi_k = (dy_k, ..., dy_k-Ly+1, du_k, ..., du_k-Lu+1, dd_k+1, ..., dd_k-Lu+1)
 
-is the CARIMA model ``A(q) dy = B(q) du + T(q) e`` with the observer polynomial ``T = 1 - c/q`` (D. W. Clarke,
-C. Mohtadi, P. S. Tuffs, Generalized predictive control, parts I and II, Automatica 23(2), 1987,
+is the CARIMA model ``A(q) dy = B(q) du + T(q) e`` with the observer polynomial ``T = 1 - c/q`` (D. W.
+Clarke, C. Mohtadi, P. S. Tuffs, Generalized predictive control, parts I and II, Automatica 23(2), 1987,
 doi:10.1016/0005-1098(87)90087-2 and 90088-4). A known disturbance d acts like an input, and may show at once.
 As T is known, theta follows from signals filtered by 1/T by least squares.
 
@@ -13,14 +13,14 @@ With P the covariance of theta per unit of noise variance, recursive least squar
     K = P phi / (lambda + phi' P phi),   theta <- theta + K (dy - theta' phi)',
     P <- (P - K phi' P) / lambda,
 
-here on a square root S of ``P = S S'``, which stays one whatever the rounding (Potter's algorithm; G. J.
-Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter II).
+here on a square root S of ``P = S S'``, so that no rounding makes P indefinite (Potter's algorithm; G. J.
+Bierman, Factorization Methods for Discrete Sequential Estimation, 1977).
 
 A loop at rest says nothing, and forgetting all the same makes P grow until noise decides: estimator windup
-(K. J. Astrom, B. Wittenmark, Adaptive Control, 2nd ed., 1995, section 11.5). Two of the remedies named there
+(K. J. Astrom, B. Wittenmark, Adaptive Control, 2nd ed., 1995, chapter 11). Two of the remedies known
 are taken: nothing is learned, nor forgotten, where every prediction is off by no more than a dead zone; and a
-sample with which the trace of P would exceed a limit is learned without forgetting. So the trace never exceeds
-that limit, or what it began with.
+sample with which the trace of P would exceed a limit is learned without forgetting. So the trace never
+exceeds that limit, or what it began with.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ class RecursiveLeastSquares:
         self._forgetting, self._largest_trace, self._dead_zone = forgetting, largest_trace, dead_zone
 
     def update(self, regressor: FloatArray, target: FloatArray) -> float:
-        """Learn from one sample, shapes (n,) and (p,); return the weight left to those before: lambda, or 1."""
+        """Learn from a sample, shapes (n,) and (p,); return the weight left to those before: lambda or 1."""
         error = target - regressor @ self.coefficients
         if np.abs(error).max() <= self._dead_zone:
             return 1.0
@@ -169,13 +169,14 @@ class Changes:
         dy, dd = y - self._y, d - self._d
         self._y, self._d = y.copy(), d.copy()
         regressor = np.concatenate([self.dy, self.du, dd, self.dd])
-        self._regressor = regressor + self._filtered * self._regressor
-        self._target = dy + self._filtered * self._target
         self.dy = np.concatenate([dy, self.dy])[: len(self.dy)]
         self.dd = np.concatenate([dd, self.dd])[: len(self.dd)]
+        self._missing -= self._missing > 0
         if self._missing:
-            self._missing -= 1
-        return None if self._missing else (self._regressor, self._target)
+            return None
+        self._regressor = regressor + self._filtered * self._regressor
+        self._target = dy + self._filtered * self._target
+        return self._regressor, self._target
 
     def judge(self, coefficients: FloatArray) -> None:
         """Note what coefficients, shape (n, p), leave unexplained of the newest sample."""
@@ -184,11 +185,6 @@ class Changes:
     def apply(self, du: FloatArray) -> None:
         """Take the change of the inputs at this sample, shape (m,)."""
         self.du = np.concatenate([du, self.du])[: len(self.du)]
-
-    @property
-    def begun(self) -> bool:
-        """Whether there is a sample before the next one."""
-        return self._y is not None
 
 
 def recorded_changes(changes: Changes, pieces: Sequence[Recording]) -> tuple[FloatArray, FloatArray]:
