@@ -19,7 +19,8 @@ It begins at the published point: pH 7 with 16.6, 0.55 and 15.6 mL/s. The equati
 for the start; from then on the pH is a state, such that c stays 0, or goes back there within T = 5 s:
 
 .. math::
-    \dot{\mathrm{pH}} = -\left(\frac{\partial c}{\partial W_a} \dot W_a + \frac{\partial c}{\partial W_b} \dot W_b
+    \dot{\mathrm{pH}} = -\left(\frac{\partial c}{\partial W_a} \dot W_a
+                               + \frac{\partial c}{\partial W_b} \dot W_b
                                + \frac{c}{T}\right) \Big/ \frac{\partial c}{\partial \mathrm{pH}}
 """
 
