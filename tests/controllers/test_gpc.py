@@ -339,3 +339,15 @@ def test_a_recording_that_is_too_short_or_stands_still_is_refused() -> None:
     still = replace(recorded(plant), u=np.zeros((60, 1)))
     with pytest.raises(DataError, match="do not show what they do"):
         started(GPC(), still)
+
+
+def test_a_dead_time_beyond_its_past_is_warned_of() -> None:
+    late = LinearPlant(np.eye(6, k=-1) + np.diag([0, 0, 0, 0, 0, 0.5]), np.eye(6)[:, :1], np.eye(6)[-1:])
+    short, long = GPC(), GPC(input_length=6)
+    recording = recorded(late, 200)
+    started(short, recording)
+    started(long, recording)
+    assert [text.partition(":")[2] for text in short.warnings()] == [
+        " lengthen input_length, or sample more slowly"
+    ]
+    assert not long.warnings()
