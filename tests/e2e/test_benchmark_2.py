@@ -1,8 +1,11 @@
 """The second benchmark: its problems are what they are called, every method meets them on the same terms."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import eigvals
+from studies import run_file
 
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.reading import read_study
@@ -59,3 +62,14 @@ def test_no_method_looks_as_far_as_the_analyser_is_late_unless_it_is_told() -> N
     (samples,) = late
     for name in problem.study.controllers:
         assert load_plugin("controllers", name)().horizon < samples, name
+
+
+@pytest.mark.slow
+def test_who_learns_on_follows_a_plant_that_drifts(tmp_path: Path) -> None:
+    frame = run_file("benchmark-2", tmp_path, jobs=2, seeds=[0], only="drift").frame()
+    for problem, error in (
+        ("ph-neutralisation", "mean_abs_error.pH [1]"),
+        ("non-minimum-phase-tanks", "mean_abs_error.level_1 [cm]"),
+    ):
+        of_problem = frame[frame["problem"] == problem].set_index("controller")[error]
+        assert of_problem["gpc"] < 0.6 * of_problem[["deepc", "spc"]].min()
