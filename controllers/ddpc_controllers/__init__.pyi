@@ -22,6 +22,7 @@ from .data.hankel import (
 from .decentralised import Decentralised as Decentralised, Group as Group
 from .deepc import DeePC as DeePC
 from .export.fmu import FMUController as FMUController
+from .gpc import GPC as GPC
 from .idle import Idle as Idle
 from .ipid import IPID as IPID
 from .koopman_mpc import KoopmanMPC as KoopmanMPC

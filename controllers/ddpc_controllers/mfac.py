@@ -19,12 +19,11 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import isfinite, sqrt
+from math import isfinite
 from operator import sub
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
@@ -32,7 +31,7 @@ from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
-from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
+from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, least_changes, rate_limits
 from ddpc_controllers.optimisation.qp import (
     ACTIVE_BOUNDS,
     COST,
@@ -193,18 +192,8 @@ class ModelFreeAdaptive(ScaledSignals):
     def _unlimited(
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
     ) -> FloatArray:
-        """Return the changes that minimise (19), limits aside.
-
-        Their normal equations ``hessian dU = slope`` (20) are the fast way. Where lambda_u is lost in the
-        rounding of A'A the factorisation fails, and the least squares that they come from are solved instead.
-        """
-        _, changes, failed = scipy.linalg.lapack.dposv(hessian, slope)
-        if failed and isfinite(hessian.sum() + slope.sum()):
-            n = len(slope)
-            stacked = np.vstack([a, sqrt(self.lambda_u) * np.eye(n)])
-            changes = np.linalg.lstsq(stacked, np.append(error, np.zeros(n)))[0]
-        answer: FloatArray = changes
-        return answer
+        """Return the changes that minimise (19), limits aside: (20)."""
+        return least_changes(a, error, hessian, slope, self.lambda_u)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the method, with what it has learned."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -52,6 +53,8 @@ VARIANTS: list[Any] = [
     MFAPC(form="pfdl", limits="clip"),
     MFAPC(form="ffdl", rate_bounds=0.5, assume_sign=False),
     MFAC(form="ffdl"),
+    GPC(),
+    GPC(initial_model="gradient", rate_bounds=0.5, observer_pole=0.0, dead_zone=1e-4, control_horizon=3),
     IPID(order=2, alpha=5.0, kp=4.0, kd=4.0),
     Cascade(inner=IPID(order=2, alpha=5.0, kp=4.0, kd=4.0), outer_period=2),
     SPSA(kp=2.0, kd=0.2),
@@ -71,6 +74,8 @@ IDS = [
     "mfapc-pfdl",
     "mfapc-ffdl",
     "mfac",
+    "gpc",
+    "gpc-gradient",
     "ipid",
     "cascade",
     "spsa",
@@ -101,7 +106,7 @@ MODEL_BASED: dict[str, Controller] = {
     "band-edge-spc": BandEdge(controller=SPC()),
 }
 SET_UP = dict(zip(IDS, VARIANTS, strict=True)) | MODEL_BASED
-DEFAULTS = {"deepc", "spc", "gamma-ddpc", "wkpc", "mfapc", "mpc", "lqr", "koopman"}
+DEFAULTS = {"deepc", "spc", "gamma-ddpc", "wkpc", "mfapc", "gpc", "mpc", "lqr", "koopman"}
 """Those of the default settings, with which test_conformance.py asks the same."""
 
 
@@ -190,6 +195,7 @@ def test_every_setting_says_what_it_is(name: str) -> None:
         (DeePC, {"horizon": 0, "lambda_g": -1.0, "affine_sum": "some", "setpoint_margin": 2.0}),
         (WKPC, {"initial_length": 1.5, "input_weight": 0.0, "online_data": "yes"}),
         (MFAPC, {"eta": 2.5, "forecast_order": 0, "lambda_u": float("nan")}),
+        (GPC, {"horizon": 0, "forgetting_factor": 1.5, "change_weight": 0.0, "initial_model": "zero"}),
         (MFAC, {"form": "xfdl", "step_factor": 0.0, "rate_bounds": -1.0}),
         (IPID, {"order": 3, "window": 0, "kp": -1.0}),
         (SPSA, {"window": 1, "perturbation": 0.0}),

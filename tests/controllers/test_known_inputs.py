@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import cont2discrete
 
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -635,7 +636,13 @@ def test_who_uses_no_forecast_says_so_and_keeps_limits_that_move(make: Make) -> 
 
 @pytest.mark.parametrize(
     "make",
-    [MFAC, MFAPC, lambda: IPID(ki=0.5, kp=0.2), lambda: IPID(order=2, alpha=30.0, kp=2.0, ki=0.1, kd=2.0)],
+    [
+        MFAC,
+        MFAPC,
+        lambda: GPC(initial_model="gradient"),
+        lambda: IPID(ki=0.5, kp=0.2),
+        lambda: IPID(order=2, alpha=30.0, kp=2.0, ki=0.1, kd=2.0),
+    ],
 )
 def test_a_method_without_a_model_goes_on_where_it_ran(make: Make) -> None:
     plant = LinearPlant(np.array([[0.8]]), np.array([[0.3]]), np.eye(1))

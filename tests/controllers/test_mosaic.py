@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAPC,
@@ -63,6 +64,7 @@ LEARNING: dict[str, Controller] = {
     "koopman": KoopmanMPC(),
     "koopman-clusters": KoopmanMPC(dictionary=Gaussian(count=4, centres="data")),
     "koopman-delays": KoopmanMPC(state="delays", dictionary=Delays(samples=2)),
+    "gpc": GPC(),
     "mpc": MPC(),
     "lqr": LQR(),
     "pid": PID(tuning="step-test"),

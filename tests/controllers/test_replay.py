@@ -9,6 +9,7 @@ import pytest
 
 from controllers.export.compiled import CompiledController
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -69,6 +70,7 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "Koopman MPC": lambda: KoopmanMPC(horizon=8, dictionary=ThinPlate(count=3)),
     "MPC": lambda: MPC(horizon=8),
     "LQR": LQR,
+    "adaptive GPC": GPC,
     "MFAC": MFAC,
     "MFAPC": MFAPC,
     "intelligent P": lambda: IPID(alpha=2.0),

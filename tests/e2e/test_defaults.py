@@ -76,6 +76,7 @@ PROBLEMS = {
     "quadruple-tank": Problem(
         ["pump_1", "pump_2"], ["level_1", "level_2"], ["level_1", "level_2"], 5.0, [3.0, 3.0], [0.5, 0.5]
     ),
+    "ph-neutralisation": Problem(["base_flow"], ["pH"], ["pH", "level"], 15.0, [15.6], [0.3]),
     "two-mass-drive": Problem(
         ["motor_torque"], ["motor_speed"], ["motor_speed", "load_speed"], 0.2, [0.0], [1.0]
     ),

@@ -107,6 +107,25 @@ def boiler_turbine(x, u):
     ]
 
 
+def ph_neutralisation(x, u):
+    """With concentrations in mol/L, and the buffer capacity of a diprotic acid (Van Slyke 1922)."""
+    base, acid, buffer = u
+    h, k1, k2 = 10.0 ** -x[3], 10.0**-6.35, 10.0**-10.25
+    volume, charge, carbonate = 207.0 * x[2], 1e-3 * x[0], 1e-3 * x[1]
+    charging = (acid * (3e-3 - charge) + buffer * (-3e-2 - charge) + base * (-3.05e-3 - charge)) / volume
+    loading = (-acid * carbonate + buffer * (3e-2 - carbonate) + base * (5e-5 - carbonate)) / volume
+    species = h**2 + k1 * h + k1 * k2
+    mean = (k1 * h + 2 * k1 * k2) / species
+    capacity = h + 1e-14 / h + carbonate * k1 * h * (h**2 + 4 * k2 * h + k1 * k2) / species**2
+    unbalanced = charge + 1e-14 / h - h + carbonate * mean
+    return [
+        1e3 * charging,
+        1e3 * loading,
+        (base + acid + buffer - 8.75 * np.sqrt(x[2])) / 207.0,
+        -(charging + mean * loading + unbalanced / 5.0) / (np.log(10.0) * capacity),
+    ]
+
+
 def level(x, u):
     steam = (1.0 - 0.001538 * x[2]) * (0.8 * x[0] - 25.6) / (x[2] * (1.0394 - 0.0012304 * x[0]))
     evaporation = (0.854 * u[1] - 0.147) * x[0] + 45.59 * u[0] - 2.514 * u[2] - 2.096
@@ -117,6 +136,7 @@ def level(x, u):
 OUTPUTS = {
     distillation_column: lambda x, u: [96.25 + x[0] + x[4] + x[8], 0.5 + x[12] + x[16] + x[20]],
     boiler_turbine: lambda x, u: [x[0], x[1], level(x, u)],
+    ph_neutralisation: lambda x, u: [x[3], x[2]],
 }
 
 # How far the inputs go from their start values.
@@ -131,6 +151,7 @@ AMPLITUDES = {
     building: np.array([2000.0, 5.0, 0.0]),
     distillation_column: 0.1,
     boiler_turbine: 0.02,
+    ph_neutralisation: np.array([1.0, 0.5, 0.1]),
 }
 PLANTS = [pytest.param(formula, amplitude, id=formula.__name__) for formula, amplitude in AMPLITUDES.items()]
 
@@ -353,6 +374,40 @@ def test_the_building_loses_heat_through_its_envelope_and_gains_the_sun():
     assert gain[0] == pytest.approx([5.3e-3, 1.0, 6.0 * 5.3e-3])  # K/W, K/K, K/(W/m2)
     hours = -1.0 / eigvals(a).real / 3600.0
     assert max(hours) == pytest.approx(20.0, abs=1.0)
+
+
+def rest_of_ph(base, acid=16.6, buffer=0.55):
+    """Return the pH in the tank at rest: all flows mixed, the charges balanced."""
+    flows = base + acid + buffer
+    charge = (3e-3 * acid - 3e-2 * buffer - 3.05e-3 * base) / flows
+    carbonate = (3e-2 * buffer + 5e-5 * base) / flows
+
+    def unbalanced(ph):
+        h, k1, k2 = 10.0**-ph, 10.0**-6.35, 10.0**-10.25
+        bound = (k1 * h + 2 * k1 * k2) / (h**2 + k1 * h + k1 * k2)
+        return charge + 1e-14 / h - h + carbonate * bound
+
+    return brentq(unbalanced, 0.0, 14.0, xtol=1e-12)
+
+
+def test_the_ph_begins_at_the_published_point_and_stays_the_solution_of_its_equation():
+    """Henson and Seborg (1994), table I: pH 7, W_a = -0.432 and W_b = 0.528 mmol/L, level 14 cm."""
+    model = model_of(ph_neutralisation)
+    charge, carbonate, height, ph = starts(model.states)
+    assert (charge, carbonate) == pytest.approx([-0.432, 0.528], abs=5e-3)
+    assert (height, ph) == pytest.approx([14.0, 7.0], abs=0.03)
+    assert ph == pytest.approx(rest_of_ph(15.6), abs=1e-9)
+    moved = np.array([17.0, 16.6, 0.55])
+    end = solve_ivp(
+        lambda _, x: ph_neutralisation(x, moved), (0.0, 3000.0), starts(model.states), "Radau", rtol=1e-9
+    ).y[:, -1]
+    assert end[3] == pytest.approx(rest_of_ph(17.0), abs=1e-6)
+
+
+def test_the_gain_of_the_base_varies_by_ten():
+    gains = [(rest_of_ph(q + 0.01) - rest_of_ph(q - 0.01)) / 0.02 for q in np.arange(12.0, 18.6, 0.1)]
+    assert max(gains) / min(gains) > 9.0
+    assert min(gains) > 0.25
 
 
 def test_the_servo_sticks_and_breaks_away():

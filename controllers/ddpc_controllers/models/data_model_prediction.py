@@ -66,7 +66,9 @@ class LinearisedPrediction:
         self._by_sample = horizon, p, self._changes.shape[1]
         self._no_known = np.zeros(horizon * p)
 
-    def __call__(self, gradients: Sequence[float], known: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    def __call__(
+        self, gradients: Sequence[float], known: Sequence[float], acting: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return A and f of ``Y = E y_k + f + A dU``.
 
         Parameters
@@ -75,6 +77,8 @@ class LinearisedPrediction:
             For each output its row of Phi_k, ..., Phi_k+N-1, one after another.
         known : sequence of float
             dy_k, dy_k-1, ... (Ly of them), then du_k-1, du_k-2, ... (Lu - 1 of them).
+        acting : array, shape (N p,), optional
+            What else changes the outputs at each sample, where there are known changes; default: nothing.
 
         Returns
         -------
@@ -89,6 +93,8 @@ class LinearisedPrediction:
         changes = self._changes
         changes[:, :-1] = self._decided
         changes[:, -1] = self._known @ known
+        if acting is not None:
+            changes[:, -1] += acting
         if self._coming is not None:
             # The diagonal counts as 1.
             changes = scipy.linalg.blas.dtrsm(1.0, -self._coming, changes, lower=1, diag=1)

@@ -134,6 +134,23 @@ class InputLimits:
             last = u
 
 
+def least_changes(
+    a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray, ridge: float | FloatArray
+) -> FloatArray:
+    """Return the changes that minimise ``|error - A dU|^2 + dU' diag(ridge) dU``, limits aside.
+
+    Their normal equations ``hessian dU = slope`` are the fast way. Where the ridge is lost in the rounding of
+    A'A the factorisation fails, and the least squares that they come from are solved instead.
+    """
+    _, changes, failed = scipy.linalg.lapack.dposv(hessian, slope)
+    if failed and isfinite(hessian.sum() + slope.sum()):
+        n = len(slope)
+        stacked = np.vstack([a, np.sqrt(ridge) * np.eye(n)])
+        changes = np.linalg.lstsq(stacked, np.append(error, np.zeros(n)))[0]
+    answer: FloatArray = changes
+    return answer
+
+
 class ChangeLimits:
     """Limits of the inputs and of their changes over a control horizon.
 

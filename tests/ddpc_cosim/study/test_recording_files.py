@@ -31,6 +31,7 @@ CONTROLLERS: Mapping[str, str] = {
     "wkpc": "",
     "wkpc-published": "",
     "koopman-mpc": "",
+    "gpc": "",
     "mpc": "",
     "lqr": "",
     "pid": 'tuning = "step-test"',

@@ -11,7 +11,7 @@ from ddpc_cosim.tuning.search import search_spaces, space_faults
 COMPARATIVE = ["direction-change", "mimo", "noise", "reactor", "time-varying", "unstable"]
 
 
-@pytest.mark.parametrize("name", [*COMPARATIVE, "benchmark"])
+@pytest.mark.parametrize("name", [*COMPARATIVE, "benchmark", "benchmark-2"])
 def test_every_method_has_somewhere_to_look(name: str) -> None:
     for problem in read_study(name).problems.values():
         points = problem.study.report.reference_points
