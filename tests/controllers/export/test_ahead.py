@@ -63,6 +63,8 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "DeePC": lambda: DeePC(horizon=6),
     "DeePC, ridge": lambda: DeePC(regulariser="ridge", horizon=4, artificial_setpoint=False),
     "DeePC, equilibrium": lambda: DeePC(regulariser="equilibrium", horizon=6, scaling="none"),
+    "DeePC, free response": lambda: DeePC(regulariser="free-response", horizon=6, affine_sum="all"),
+    "SPC, causal": lambda: SPC(predictor="causal", uncertainty=True, horizon=6),
     "DeePC, plans": lambda: DeePC(apply_steps=3, rate_bounds=0.3, use_current_output=True),
     "SPC": lambda: SPC(horizon=6),
     "SPC, measured only": lambda: SPC(horizon=5, use_forecast=False),
