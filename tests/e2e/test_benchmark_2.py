@@ -22,11 +22,10 @@ def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -
         assert list(problem.study.scenarios) == SCENARIOS
         assert problem.study.source
         for name, section in problem.study.controllers.items():
-            if name != "idle":
-                assert section.tuned is not None, (problem.study.name, name)
-                assert section.tuned.settings
-                tuned = section.tuned
-                budgets.add((tuned.trials, str(tuned.seeds), tuned.by, tuned.source))
+            tuned = section.tuned
+            assert tuned is not None, (problem.study.name, name)
+            assert tuned.settings
+            budgets.add((tuned.trials, str(tuned.seeds), tuned.by, tuned.source))
     assert len(budgets) == 1
 
 
@@ -52,12 +51,11 @@ def test_the_tanks_rest_where_they_start_and_have_a_zero_in_the_right_half_plane
     assert max(zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e3)].real) > 0.01
 
 
-def test_no_method_looks_as_far_as_the_analyser_is_late_unless_it_is_told() -> None:
-    problem = read_study("benchmark-2").problems["late-analyser"]
+def test_no_method_looks_as_far_as_the_dead_time_unless_it_is_told() -> None:
+    problem = read_study("benchmark-2").problems["late-reflux"]
     sampling_time = problem.study.loop.sampling_time
     late = {
-        scenario.effects["delay"]["distillate"] / sampling_time
-        for scenario in problem.study.scenarios.values()
+        scenario.effects["delay"]["reflux"] / sampling_time for scenario in problem.study.scenarios.values()
     }
     (samples,) = late
     for name in problem.study.controllers:
