@@ -215,22 +215,22 @@ def compute_metrics(
 ) -> dict[str, float]:
     """Return the built-in metrics of a run: of outputs, inputs, cost, payments, key figures and steps."""
     table: dict[str, float] = {}
-    others = tuple(_third_parties().metrics)
+    built_in = tuple(name for name in METRICS if name not in _third_parties().metrics)
     whole = [WholeRun(responses, actuations, cost)] if cost else []
     of_run = [samples for samples in (charged, key_figures) if samples]
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
             kind: Any = type(samples)
-            for name, metric in _built_in_of(kind, others).items():
+            for name, metric in _metrics_of(kind, built_in).items():
                 if metric.exists(samples):
                     table[_key(name, metric.unit, samples)] = metric.compute(samples)
     return table
 
 
 @cache
-def _built_in_of(kind: type[Any], others: Sequence[str]) -> Mapping[str, Metric[Any]]:
-    """Return the built-in metrics of samples of a class, by name, without those that others replace."""
-    return {name: m for name, m in METRICS.items() if name not in others and issubclass(kind, m.of)}
+def _metrics_of(kind: type[Any], known: Sequence[str]) -> Mapping[str, Metric[Any]]:
+    """Return those of some metrics that are of samples of a class, by name."""
+    return {name: METRICS[name] for name in known if issubclass(kind, METRICS[name].of)}
 
 
 def compute_installed_metrics(trace: Any) -> dict[str, float]:

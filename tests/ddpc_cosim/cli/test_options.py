@@ -74,12 +74,15 @@ def test_what_does_not_fit_is_a_usage_error(arguments: list[str], message: str) 
 def test_every_command_stands_in_a_file_of_its_name_and_declares_all_that_it_takes(name: str) -> None:
     command = main.commands[name]
     assert command.name == name
-    function = command.callback
-    assert function is not None
-    module = inspect.getmodule(function)
-    assert module is not None
-    assert module.__name__ == f"ddpc_cosim.cli.commands.{function.__name__}"
-    assert [param.name for param in command.params] == list(inspect.signature(function).parameters)
+    parts = command.commands if isinstance(command, click.Group) else {"": command}
+    for part in parts.values():
+        function = part.callback
+        assert function is not None
+        module = inspect.getmodule(function)
+        assert module is not None
+        file = name if isinstance(command, click.Group) else function.__name__
+        assert module.__name__ == f"ddpc_cosim.cli.commands.{file}"
+        assert [param.name for param in part.params] == list(inspect.signature(function).parameters)
 
 
 def test_an_fmi_type_is_one_that_plants_know() -> None:
