@@ -215,22 +215,16 @@ def compute_metrics(
 ) -> dict[str, float]:
     """Return the built-in metrics of a run: of outputs, inputs, cost, payments, key figures and steps."""
     table: dict[str, float] = {}
-    built_in = tuple(name for name in METRICS if name not in _third_parties().metrics)
+    registry = {name: metric for name, metric in METRICS.items() if name not in _third_parties().metrics}
     whole = [WholeRun(responses, actuations, cost)] if cost else []
     of_run = [samples for samples in (charged, key_figures) if samples]
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
-            kind: Any = type(samples)
-            for name, metric in _metrics_of(kind, built_in).items():
-                if metric.exists(samples):
-                    table[_key(name, metric.unit, samples)] = metric.compute(samples)
+            for name, metric in registry.items():
+                of_samples: Metric[Any] = metric
+                if isinstance(samples, metric.of) and of_samples.exists(samples):
+                    table[_key(name, metric.unit, samples)] = of_samples.compute(samples)
     return table
-
-
-@cache
-def _metrics_of(kind: type[Any], known: Sequence[str]) -> Mapping[str, Metric[Any]]:
-    """Return those of some metrics that are of samples of a class, by name."""
-    return {name: METRICS[name] for name in known if issubclass(kind, METRICS[name].of)}
 
 
 def compute_installed_metrics(trace: Any) -> dict[str, float]:
