@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from ddpc_cosim import load_results
+from ddpc_cosim import ConfigError, load_results
+from ddpc_cosim.benchmarking.leaderboard import leaderboard
 from ddpc_cosim.benchmarking.submission import ENTRY_FILE, SUBMISSION_FILE, seal
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.loop.trace import Outcome, Trace
@@ -346,3 +347,44 @@ def test_a_folder_that_is_no_submission_is_said_to_be_none(
     (submission / SUBMISSION_FILE).write_text("{}", encoding="utf-8")
     done = verify(submission, entered)
     assert (done.exit_code, "damaged" in done.output) == (2, True)
+
+
+def test_the_leaderboard_has_all_submissions_as_controllers_of_one_study(
+    entered: Path, tmp_path: Path
+) -> None:
+    base = entered.parent / "small.toml"
+    words = ("--study", base, "--out", tmp_path / "known", "--jobs", "1", "--no-report")
+    assert benchmark("enter", "pid", *words).exit_code == 0
+    board = leaderboard([entered, tmp_path / "known"])
+    assert [*board.study.controllers] == ["idle", "known", "my-gain", "pid"]
+    assert len(board.cases) == 4 * 2 * 2
+    alone = load_results(entered / "results")
+    mine = {case.id: case.metrics for case in alone.cases if case.controller == "my-gain"}
+    assert {case.id: case.metrics for case in board.cases if case.controller == "my-gain"} == mine
+    assert {*board.shares("mean_abs_error").controller} == {"my-gain", "pid"}
+    done = benchmark("page", entered, tmp_path / "known", "--out", tmp_path / "board.html")
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "board.html").read_text(encoding="utf-8")
+    assert "Leaderboard: small" in text
+    assert "MyGain" in text
+
+
+def test_submissions_to_two_benchmarks_have_no_leaderboard(submission: Path, entered: Path) -> None:
+    in_study("max = 3.0", "max = 4.0")(submission)
+    with pytest.raises(ConfigError, match=r"not of the benchmark of .*: bounds\.torque\.max"):
+        leaderboard([entered, submission])
+
+
+def test_what_cannot_be_entered_is_told(entered: Path, tmp_path: Path) -> None:
+    base = ("--study", entered.parent / "small.toml", "--out", tmp_path / "entry")
+    for target, words in (
+        ("nowhere.py:Mine", "nowhere.py: No such file"),
+        ("mine.py:not a class", "needed: FILE.py:CLASS"),
+        ("idle", "is a reference point of small.toml"),
+        ("pdi", 'did you mean "pid"'),
+    ):
+        done = benchmark("enter", target, *base)
+        assert done.exit_code == 2, done.output
+        assert words in done.output
+    done = benchmark("enter", "pid", "--problem", "x", *base)
+    assert "--problem x: small.toml has no such one; it has one alone" in done.output
