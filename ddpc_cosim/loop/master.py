@@ -9,9 +9,10 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from functools import wraps
+from inspect import signature
 from math import inf
 from types import MappingProxyType
-from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 
@@ -235,6 +236,10 @@ def _by_itself(stepwise: Callable[P, Steps[T]]) -> Driven[P, T]:
 
     driven = cast("Any", run)
     driven.stepwise = stepwise
+    # To whoever reads of it, it is a function that returns the result.
+    returns = get_args(get_type_hints(stepwise)["return"])[-1]
+    driven.__signature__ = signature(stepwise).replace(return_annotation=returns)
+    del driven.__wrapped__
     return cast("Driven[P, T]", driven)
 
 
