@@ -121,7 +121,7 @@ def verify(
     _check_table(results)
     chosen = _chosen(runs, share, seed)
     progress.start(len(runs), 0)
-    with ScratchFolder(folder.parent, ".verify-") as work:
+    with ScratchFolder() as work:
         _check_runs([_played(run) for run in runs if run not in chosen], work / "played", selection, progress)
         _check_runs(chosen, work / "again", selection, progress)
     return Verified(len(hashes), len(runs), len(chosen), seed)
