@@ -29,6 +29,7 @@ REFUSED = {
     "nmpc": "it solves a nonlinear program",
     "select-dpc": "it factorises the windows that it chooses",
     "wkpc-published-code": "the program draws random centres",
+    "gpc": "the method has no code in C",
     "deepc-online": "the data are factorised anew while the loop runs",
     "wkpc-online": "the data are factorised anew while the loop runs",
 }
