@@ -31,7 +31,7 @@ from ddpc_controllers.models.data_model import Form
 from ddpc_controllers.models.data_model_prediction import LinearisedPrediction
 from ddpc_controllers.models.recursive import Changes, Lengths, RecursiveLeastSquares, recorded_changes
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, least_changes, rate_limits
-from ddpc_controllers.optimisation.qp import ACTIVE_BOUNDS, COST, StepInfo, action, ends_info, predicted_ends
+from ddpc_controllers.optimisation.qp import StepInfo, action, changes_info, predicted_ends
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import (
     Action,
@@ -238,7 +238,8 @@ class GPC(ScaledSignals):
         u = np.array(applied)
         self._changes.apply(u - self._u)
         self._u = u
-        return action(u.copy(), fault, StepInfo(self._info, known))
+        how = self._limits, self._ends, self._unit, self._roots, self._ridge
+        return action(u.copy(), fault, StepInfo(changes_info, (*how, *known)))
 
     def _predict(self, sample: Sample) -> tuple[FloatArray, FloatArray]:
         """Return G, and R - E y_k - f."""
@@ -264,23 +265,3 @@ class GPC(ScaledSignals):
                 first = self.input_length - lag
                 acting += whole[first : first + self.horizon] @ block
         return acting.ravel()
-
-    def _info(
-        self,
-        a: FloatArray,
-        error: FloatArray,
-        reference: FloatArray,
-        plan: list[float],
-        before: list[float],
-        u: list[float],
-    ) -> dict[str, float]:
-        """Return cost, active bounds and predicted end of the changes that are planned and applied."""
-        changes = np.array(plan)
-        changes[: len(u)] = np.subtract(u, before)
-        missed = error - a @ changes
-        cost = np.square(self._roots * missed).sum() + self._ridge @ np.square(changes)
-        return {
-            COST: float(cost),
-            ACTIVE_BOUNDS: float(self._limits.reached(before, changes.reshape(-1, len(u)))),
-            **ends_info(self._ends, reference.ravel() - missed, self._unit),
-        }

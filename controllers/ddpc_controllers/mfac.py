@@ -33,11 +33,9 @@ from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, least_changes, rate_limits
 from ddpc_controllers.optimisation.qp import (
-    ACTIVE_BOUNDS,
-    COST,
     StepInfo,
     action,
-    ends_info,
+    changes_info,
     predicted_ends,
 )
 from ddpc_controllers.scaling import ScaledSignals
@@ -165,29 +163,11 @@ class ModelFreeAdaptive(ScaledSignals):
         if self._moving:
             self._limits.move(sample.input_limits[0])
         u, fault = self._limits.apply(self._u, changes, hessian, slope)  # (21)
-        info = StepInfo(self._info, (a, error, sample.reference, self._limits.plan, self._u, u))
+        known = a, error, sample.reference, self._limits.plan, self._u, u  # its cost is (19)
+        info = StepInfo(changes_info, (self._limits, self._ends, self._unit, 1.0, self.lambda_u, *known))
         self._model.apply(list(map(sub, u, self._u)))
         self._u = u
         return action(np.array(u), fault, info)
-
-    def _info(
-        self,
-        a: FloatArray,
-        error: FloatArray,
-        reference: FloatArray,
-        plan: list[float],
-        before: list[float],
-        u: list[float],
-    ) -> dict[str, float]:
-        """Return cost (19), active bounds and predicted end of the changes that are planned and applied."""
-        changes = np.array(plan)
-        changes[: len(u)] = np.subtract(u, before)
-        missed = error - a @ changes
-        return {
-            COST: float(missed @ missed + self.lambda_u * changes @ changes),
-            ACTIVE_BOUNDS: float(self._limits.reached(before, changes.reshape(-1, len(u)))),
-            **ends_info(self._ends, reference.reshape(-1) - missed, self._unit),
-        }
 
     def _unlimited(
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray

@@ -28,22 +28,24 @@ def leaderboard(folders: Sequence[Path]) -> StudyResults:
     labels = [entry.controller.get("label") or entry.name for entry in entries]
     problems: dict[str, Study] = {}
     cases, resting, damaged, faults = [], [], dict[str, str](), list[str]()
-    for folder, entry, own, label in zip(folders, entries, results, labels, strict=True):
+    for folder, entry, submitted, label in zip(folders, entries, results, labels, strict=True):
         is_alone = [other.name for other in entries].count(entry.name) == 1
         name = entry.name if is_alone else f"{entry.name}-{folder.resolve().name}"
         shown = label if labels.count(label) == 1 else f"{label} ({folder.resolve().name})"
-        head = own.whole.head
-        for key, study in own.whole.problems.items():
-            problem = head.based_on[0] if own.whole.is_flat else key
+        head = submitted.whole.head
+        for key, study in submitted.whole.problems.items():
+            problem = head.based_on[0] if submitted.whole.is_flat else key
             section = replace(study.controllers[entry.name], label=shown)
             points = {other: study.controllers[other] for other in study.controllers if other != entry.name}
-            terms = replace(study, name=problem, title=study.title if not own.whole.is_flat else problem)
+            terms = replace(
+                study, name=problem, title=study.title if not submitted.whole.is_flat else problem
+            )
             is_first = problem not in problems
             before = problems.setdefault(problem, replace(terms, controllers=points))
             for path in settings_between(_terms(before, points), _terms(terms, points)):
                 faults.append(f"{folder}: not of the benchmark of {folders[0]}: {path} of {problem} differs")
             problems[problem] = replace(before, controllers=before.controllers | {name: section})
-            of_problem = [case for case in own.cases if case.problem == key]
+            of_problem = [case for case in submitted.cases if case.problem == key]
             cases += [
                 replace(case, problem=problem, controller=name, label=shown)
                 if case.controller == entry.name
@@ -52,8 +54,10 @@ def leaderboard(folders: Sequence[Path]) -> StudyResults:
                 if is_first or case.controller == entry.name
             ]
             if is_first:
-                resting += [replace(case, problem=problem) for case in own.resting if case.problem == key]
-        damaged |= own.damaged
+                resting += [
+                    replace(case, problem=problem) for case in submitted.resting if case.problem == key
+                ]
+        damaged |= submitted.damaged
     if faults:
         raise ConfigError(faults)
     count = "1 submission" if len(folders) == 1 else f"{len(folders)} submissions"

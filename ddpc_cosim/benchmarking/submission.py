@@ -113,19 +113,19 @@ class Entry:
         beside = reference_points(tables)
         if self.name in beside:
             raise ConfigError(f'"{self.name}" is a reference point of {base.label}, which does not compete')
-        own: Table = {
+        changes: Table = {
             "name": f"{tables['name']}-{self.name}",
             "title": f"{tables.get('title') or tables['name']}: {self.controller.get('label') or self.name}",
             CONTROLLERS: {name: False for name in tables[CONTROLLERS] if name not in beside},
         }
         if PROBLEMS in tables:
-            own[PROBLEMS] = {name: False for name in tables[PROBLEMS] if name not in self.problems}
+            changes[PROBLEMS] = {name: False for name in tables[PROBLEMS] if name not in self.problems}
         if unknown := [name for name in self.problems if name not in tables.get(PROBLEMS, {})]:
             known = ", ".join(tables.get(PROBLEMS, {})) or "one"
             raise ConfigError(
                 f"{base.label}: no problem {', '.join(unknown)}; it has {known}; --study: another one"
             )
-        left, faults = extended(tables, own, base.label)
+        left, faults = extended(tables, changes, base.label)
         left[CONTROLLERS] = left[CONTROLLERS] | {self.name: self.controller}
         left["based_on"] = [str(tables["name"]), *tables.get("based_on", ())]
         file = StudyFile(base.label, folder, left, source=base.source)
@@ -167,8 +167,8 @@ class Budget(NamedTuple):
         ConfigError
             That does not say it.
         """
-        told = [section.get("tuned") for section in tables[CONTROLLERS].values()]
-        known = [how for how in told if isinstance(how, dict) and {"trials", "seeds"} <= how.keys()]
+        tuned = [section.get("tuned") for section in tables[CONTROLLERS].values()]
+        known = [how for how in tuned if isinstance(how, dict) and {"trials", "seeds"} <= how.keys()]
         most: Table = max(known, key=lambda how: int(how["trials"]), default={})
         trials = self.trials or most.get("trials")
         if trials is None:

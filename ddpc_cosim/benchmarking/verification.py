@@ -230,13 +230,13 @@ def _check_figures(run: _Run) -> None:
     said, where = read_run(result.folder), f"{result.folder.name}: "
     trace = result.trace()
     wanted = {key: value for key, value in case.head().items() if key not in ("id", "sandbox", "storage")}
-    own = evaluated(trace, case.metrics)
+    recomputed = evaluated(trace, case.metrics)
     # What is written as text in JSON is compared as it is written.
     for key, value in (wanted | {"rows": len(trace)}).items():
         theirs = said["signals"]["rows"] if key == "rows" else said.get(key, {} if key == "drawn" else None)
         if difference := _different(key, theirs, value):
             raise RefusedError(where + difference)
-    for key, value in own.items():
+    for key, value in recomputed.items():
         if difference := _different(key, said[key], value):
             raise RefusedError(f"{where}{difference}, computed from its samples")
 
@@ -281,10 +281,10 @@ def _check_table(results: StudyResults) -> None:
     columns, cells = own_rows(table_text(*metrics_table(results)))
     if header != columns or len(rows) != len(cells):
         raise RefusedError(f"{path}: {len(rows)} rows; the cases have {len(cells)}, or other columns")
-    for row, own in zip(rows, cells, strict=True):
-        for name, theirs, ours in zip(columns, row, own, strict=True):
+    for row, of_case in zip(rows, cells, strict=True):
+        for name, theirs, ours in zip(columns, row, of_case, strict=True):
             if theirs != ours:
-                which = ", ".join(own[columns.index(key)] for key in ("controller", "scenario", "seed"))
+                which = ", ".join(of_case[columns.index(key)] for key in ("controller", "scenario", "seed"))
                 raise RefusedError(f"{path}: {name} of {which} is {theirs}; its case says {ours}")
 
 

@@ -48,6 +48,7 @@ from ddpc_controllers.optimisation.condensing import (
 from ddpc_controllers.optimisation.limits import (
     CLIPPED,
     HELD,
+    ChangeLimits,
     InputLimits,
     bounds_not_met,
     past_not_recorded,
@@ -178,6 +179,46 @@ def ends_info(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> d
         These outputs, which end the array, and what one of them is in its own unit.
     """
     return dict(zip(ends, (predicted[-len(ends) :] * unit).tolist(), strict=True))
+
+
+def changes_info(
+    limits: ChangeLimits,
+    ends: Sequence[str],
+    unit: FloatArray,
+    roots: float | FloatArray,
+    ridge: float | FloatArray,
+    a: FloatArray,
+    error: FloatArray,
+    reference: FloatArray,
+    plan: Sequence[float],
+    before: Sequence[float],
+    u: Sequence[float],
+) -> dict[str, float]:
+    """Return cost, active bounds and predicted end of a plan of changes whose first ones are applied.
+
+    Parameters
+    ----------
+    limits : ChangeLimits
+        Those that the plan keeps.
+    ends, unit : sequence of str, array, shape (p,)
+        As in :func:`ends_info`.
+    roots, ridge : float or array, shape (N p,) and (Nu m,)
+        Roots of the weights of errors, and the weights of changes.
+    a, error : array, shape (N p, Nu m) and (N p,)
+        Predicted errors without changes, and what changes take from them.
+    reference : array, shape (N, p)
+        The reference over the horizon.
+    plan, before, u : sequence of float, Nu m, m and m of them
+        The planned changes, the inputs before, and those that are applied.
+    """
+    changes = np.array(plan)
+    changes[: len(u)] = np.subtract(u, before)
+    missed = error - a @ changes
+    return {
+        COST: float(np.square(roots * missed).sum() + (ridge * np.square(changes)).sum()),
+        ACTIVE_BOUNDS: float(limits.reached(before, changes.reshape(-1, len(u)))),
+        **ends_info(ends, reference.ravel() - missed, unit),
+    }
 
 
 def _solution_info(
