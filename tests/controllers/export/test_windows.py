@@ -73,6 +73,7 @@ SETTINGS: dict[str, Callable[[], BehavioralTracking]] = {
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=10),
     "DeePC, closed loop": lambda: DeePC(instruments="closed-loop", regulariser="ridge"),
     "SPC, closed loop": lambda: SPC(instruments="closed-loop"),
+    "SPC, excitation": lambda: SPC(instruments="excitation"),
     "SPC, transient": lambda: SPC(predictor="transient", uncertainty=True),
 }
 
