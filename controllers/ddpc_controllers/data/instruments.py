@@ -30,6 +30,7 @@ closed-loop data: an instrumental variable approach*, IEEE L-CSS 7, 2023 (arXiv:
 as instruments too, of a whole horizon at once.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -204,7 +205,7 @@ def require_excited_inputs(
 def _samples_back(signals: Mapping[str, FloatArray], known: int) -> int:
     """Return over how many samples the excitation is an instrument."""
     regressors = known * (signals["u"].shape[1] + signals["y"].shape[1])
-    return -(-_INSTRUMENTS * regressors // signals["w"].shape[1])
+    return math.ceil(_INSTRUMENTS * regressors / signals["w"].shape[1])
 
 
 def _of_one_sample(
