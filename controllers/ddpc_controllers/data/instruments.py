@@ -204,8 +204,8 @@ def require_excited_inputs(
 
 def _samples_back(signals: Mapping[str, FloatArray], known: int) -> int:
     """Return over how many samples the excitation is an instrument."""
-    regressors = known * (signals["u"].shape[1] + signals["y"].shape[1])
-    return math.ceil(_INSTRUMENTS * regressors / signals["w"].shape[1])
+    m, p, excited = (int(signals[name].shape[1]) for name in "uyw")
+    return math.ceil(_INSTRUMENTS * known * (m + p) / excited)
 
 
 def _of_one_sample(
