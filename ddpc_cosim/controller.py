@@ -4,7 +4,7 @@ import hashlib
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, wraps
 from itertools import accumulate, pairwise
 from numbers import Integral
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ddpc_cosim.inspection.logs import LogSummary
 
 OK = "ok"
-_TABLES = ("u", "y", "measured", "d")
+_TABLES = ("u", "y", "measured", "d", "excitation")
 _NOTHING: FloatArray = np.empty(0)
 _NO_INFO: Mapping[str, float] = MappingProxyType({})
 _NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
@@ -72,6 +72,9 @@ class Recording:
         Known disturbances, as they were measured; default: there are none, shape (T, 0).
     treatments : tuple of str, optional
         What was done to the logs that it comes from, such as ``"3 cells interpolated"``.
+    excitation : array, shape (T, n_w), optional
+        What moved the inputs from outside, whatever was measured: what was added to those of a controller,
+        or its setpoints; default: not known, shape (T, 0).
 
     Raises
     ------
@@ -87,14 +90,19 @@ class Recording:
     seams: tuple[int, ...] = ()
     d: FloatArray = field(default_factory=lambda: _NOTHING.reshape(0, 0))
     treatments: tuple[str, ...] = ()
+    excitation: FloatArray = field(default_factory=lambda: _NOTHING.reshape(0, 0))
 
     def __post_init__(self) -> None:
-        if self.d.ndim == 2 and self.d.shape[1] == 0:  # of whatever length the other arrays had
-            object.__setattr__(self, "d", np.empty((len(self.u), 0)))
+        for name in ("d", "excitation"):
+            table = getattr(self, name)
+            if table.ndim == 2 and table.shape[1] == 0:  # of whatever length the other arrays had
+                object.__setattr__(self, name, np.empty((len(self.u), 0)))
         shapes = {name: getattr(self, name).shape for name in _TABLES}
         if any(len(shape) != 2 for shape in shapes.values()) or len({s[0] for s in shapes.values()}) != 1:
-            needed = "(T, m), (T, p), (T, q) and (T, n_d)"
-            raise DataError(f"recording: u, y, measured and d need shapes {needed}; got {shapes}")
+            needed = "(T, m), (T, p), (T, q), (T, n_d) and (T, n_w)"
+            raise DataError(
+                f"recording: {', '.join(_TABLES[:-1])} and {_TABLES[-1]} need shapes {needed}; got {shapes}"
+            )
         for name in shapes:
             rows, columns = np.nonzero(~np.isfinite(getattr(self, name)))
             if rows.size:
@@ -118,16 +126,19 @@ class Recording:
         shapes = {tuple(getattr(part, name).shape[1] for name in _TABLES) for part in recordings}
         if len(shapes) > 1:
             numbers = ", ".join(map(str, sorted(shapes)))
-            what = "(inputs, outputs, measurements, disturbances)"
+            what = "(inputs, outputs, measurements, disturbances, excitation)"
             raise DataError(f"recordings: different numbers of {what}: {numbers}")
         times = {recording.sampling_time for recording in recordings}
         if max(times) - min(times) > 1e-9 * max(times):
             raise DataError(f"recordings: different sampling times: {sorted(times)} s")
         pieces = [piece for recording in recordings for piece in recording.pieces]
         first = list(accumulate(map(len, pieces)))
-        u, y, measured, d = (np.vstack([getattr(piece, name) for piece in pieces]) for name in _TABLES)
+        u, y, measured, d, excitation = (
+            np.vstack([getattr(piece, name) for piece in pieces]) for name in _TABLES
+        )
         treatments = tuple(words for recording in recordings for words in recording.treatments)
-        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]), d, treatments)
+        seams, sampling_time = tuple(first[:-1]), recordings[0].sampling_time
+        return cls(u, y, measured, sampling_time, seams, d, treatments, excitation)
 
     @classmethod
     def read_csv(
@@ -138,6 +149,7 @@ class Recording:
         outputs: Sequence[Variable | str],
         measurements: Sequence[Variable | str] = (),
         disturbances: Sequence[Variable | str] = (),
+        excitation: Sequence[Variable | str] = (),
         columns: Mapping[str, str] = _NO_COLUMNS,
         **format: Any,
     ) -> "Recording":
@@ -152,6 +164,8 @@ class Recording:
         inputs, outputs, measurements, disturbances : sequence of Variable or str
             The signals, each in a column of its name; no measurements: the outputs. A variable's values are
             converted from the unit of the column's header to its own; those of a bare name are as they stand.
+        excitation : sequence of Variable or str
+            What moved the inputs from outside, likewise: see :class:`Recording`.
         columns : mapping of str to str
             Headers of the columns that are not called as their signals.
         **format
@@ -168,24 +182,25 @@ class Recording:
             All that is wrong with the files, a line for each kind of fault: missing columns, units that do
             not fit, cells that are not finite numbers, uneven times, with the first places and the remedy.
         """
-        kinds = [list(inputs), list(outputs), list(measurements or outputs), list(disturbances)]
+        tables = (inputs, outputs, measurements or outputs, disturbances, excitation)
+        kinds = [list(table) for table in tables]
         signals = {_name(signal): signal for kind in kinds for signal in kind}
         wanted = [
             Column(None if isinstance(signal, str) else signal, columns.get(name, name))
             for name, signal in signals.items()
         ]
         places = {name: i for i, name in enumerate(signals)}
-        u, y, measured, d = ([places[_name(signal)] for signal in kind] for kind in kinds)
+        u, y, measured, d, w = ([places[_name(signal)] for signal in kind] for kind in kinds)
         log = read_log(
             paths,
             sampling_time=sampling_time,
             format=read(LogFormat, format),
             columns=wanted,
-            held=[_name(signal) for kind in (inputs, disturbances) for signal in kind],
+            held=[_name(signal) for kind in (inputs, disturbances, excitation) for signal in kind],
         )
         signals_of = (log.values[:, u], log.values[:, y], log.values[:, measured])
         words = tuple(treatment.words for treatment in log.treatments)
-        return cls(*signals_of, sampling_time, log.seams, log.values[:, d], words)
+        return cls(*signals_of, sampling_time, log.seams, log.values[:, d], words, log.values[:, w])
 
     def write_csv(
         self,
@@ -194,8 +209,11 @@ class Recording:
         outputs: Sequence[Variable | str],
         measurements: Sequence[Variable | str] = (),
         disturbances: Sequence[Variable | str] = (),
+        excitation: Sequence[Variable | str] = (),
     ) -> None:
         """Write a CSV file that :meth:`read_csv` gives back; parameters as there.
+
+        What moved the inputs from outside is left out where ``excitation`` does not name it.
 
         Raises
         ------
@@ -208,12 +226,11 @@ class Recording:
                 f"recording: {len(self.pieces)} pieces do not go into one file: write each of them"
             )
         table = {"time [s]": np.arange(len(self), dtype=np.float64) * self.sampling_time}
-        tables = (self.u, self.y, self.measured, self.d)
-        kinds = zip((inputs, outputs, measurements or outputs, disturbances), tables, strict=True)
-        for kind, values in kinds:
-            if len(kind) != values.shape[1]:
+        signals = (inputs, outputs, measurements or outputs, disturbances, excitation)
+        for kind, values in zip(signals, (getattr(self, name) for name in _TABLES), strict=True):
+            if len(kind) != values.shape[1] and (kind or values is not self.excitation):
                 raise DataError(f"recording: {len(kind)} signals for {values.shape[1]} columns: {kind}")
-            for signal, column in zip(kind, values.T, strict=True):
+            for signal, column in zip(kind, values.T, strict=False):
                 header = signal if isinstance(signal, str) else signal.header
                 if not np.array_equal(table.setdefault(header, column), column):
                     raise DataError(
@@ -243,7 +260,7 @@ class Recording:
         """The experiments that it consists of."""
         ends = pairwise((0, *self.seams, len(self)))
         return tuple(
-            Recording(self.u[i:j], self.y[i:j], self.measured[i:j], self.sampling_time, d=self.d[i:j])
+            replace(self, **{name: getattr(self, name)[i:j] for name in _TABLES}, seams=(), treatments=())
             for i, j in ends
         )
 
@@ -251,7 +268,8 @@ class Recording:
     def digest(self) -> str:
         """A hash of its content: SHA-256, in hexadecimal digits."""
         content = hashlib.sha256(repr((self.seams, self.sampling_time)).encode())
-        for array in (self.u, self.y, self.measured, *([self.d] if self.d.size else [])):
+        told = (table for table in (self.d, self.excitation) if table.size)
+        for array in (self.u, self.y, self.measured, *told):
             content.update(repr(array.shape).encode() + array.tobytes())
         return content.hexdigest()
 

@@ -144,7 +144,8 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         "none",
         choices=get_args(Instruments),
         doc="what averages the noise out of the data: nothing; pasts and inputs, for a recording made in "
-        "open loop; the same, one sample ahead at a time, for one made in closed loop",
+        "open loop; the same, one sample ahead at a time, for one made in closed loop; what "
+        "excited that loop from outside, likewise, where the recording knows it",
     )
     backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
 
@@ -364,7 +365,14 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         """Return the instrumented predictor, shape (N p, rows above those of y), of the first windows."""
         if self.instruments == "open-loop":
             return predict_all_at_once(data[:, :windows], self.horizon * recording.y.shape[1])
-        return predict_from_head(recording, self._layout, self._past_outputs, type(self).__name__, windows)
+        return predict_from_head(
+            recording,
+            self._layout,
+            self._past_outputs,
+            type(self).__name__,
+            windows,
+            by_excitation=self.instruments == "excitation",
+        )
 
     def _test(self, data: FloatArray, recording: Recording) -> PredictionTest | None:
         """Return how well the outputs at the end of the horizon are predicted."""

@@ -299,6 +299,7 @@ def rows_of(recording: Recording, rows: slice) -> Recording:
         recording.sampling_time,
         tuple(seam - first for seam in recording.seams if first < seam < last),
         recording.d[rows],
+        excitation=recording.excitation[rows],
     )
 
 

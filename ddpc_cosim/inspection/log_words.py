@@ -21,7 +21,6 @@ _SAMPLES_OF_ANSWER = (4, 100)
 _DITHER = 0.5  # of an input's deviation
 _MOST_LISTED = 3
 _ROUNDED = 7200.0  # s: longer times are told roughly
-_INSTRUMENTS = "closed-loop"
 _CODES = {-999.0, -9999.0, -99999.0, 9999.0, 99999.0}  # that loggers write for a value that is not there
 _SHOWN_STEPS = (1, 2, 3, 5, 10, 15, 20, 30, 40)
 
@@ -46,6 +45,8 @@ class Evidence:
         How far ahead methods predict.
     horizon : int
         How many samples ahead was tested.
+    knows_excitation : bool
+        Whether the data have what moved the inputs from outside, beside a controller.
     """
 
     columns: tuple[ColumnFacts, ...]
@@ -56,6 +57,7 @@ class Evidence:
     relations: Relations
     predictions: Predictions
     horizon: int
+    knows_excitation: bool = False
 
     def of_role(self, role: str) -> list[ColumnFacts]:
         """Return the columns of a role."""
@@ -261,7 +263,7 @@ def _advice(evidence: Evidence) -> Iterator[str]:
             f"where the loop has to stay closed, add a random two-level signal to what the controller sets: "
             f"plus or minus {sizes} (half of what it moves by now), held for {evidence.in_time(hold)}"
         )
-        yield _instruments()
+        yield _instruments(evidence.knows_excitation)
     low, high = _SAMPLES_OF_ANSWER
     answer = relations.answer
     if answer > high and (time := evidence.time_of(answer / 20)):
@@ -281,21 +283,27 @@ def _hindrances_of_content(evidence: Evidence) -> bool:
     )
 
 
-def _instruments() -> str:
+def _instruments(knows_excitation: bool) -> str:
     """Return how controllers use data of a closed loop, as far as those that are installed can."""
-    names = [
-        f'"{plugin.name}"'
+    used = "excitation" if knows_excitation else "closed-loop"
+    choices = {
+        plugin.name: setting.choices
         for plugin in installed("controllers")
-        if isinstance(plugin.value, type)
-        and (setting := declared_settings(plugin.value).get("instruments"))
-        and _INSTRUMENTS in setting.choices
-    ]
-    if names:
-        return (
-            f"compare with instrumental variables on these data: type = {' or '.join(names)} with "
-            f'settings.instruments = "{_INSTRUMENTS}"'
-        )
-    return "on these data compare with instrumental variables, or with a model fitted one step ahead"
+        if isinstance(plugin.value, type) and (setting := declared_settings(plugin.value).get("instruments"))
+    }
+    names = [f'"{name}"' for name, allowed in choices.items() if used in allowed]
+    if not names:
+        return "on these data compare with instrumental variables, or with a model fitted one step ahead"
+    advice = (
+        f"compare with instrumental variables on these data: type = {' or '.join(names)} with "
+        f'settings.instruments = "{used}"'
+    )
+    if knows_excitation:
+        return advice
+    return (
+        f"{advice}; where columns have what was added to the inputs, or the setpoints, name them in "
+        'recording.excitation_columns and use "excitation"'
+    )
 
 
 def _uncertainty(pair: Pair) -> float:

@@ -212,7 +212,8 @@ def summarise(
                 f"{len(recording)} samples, in {_STRETCHES} stretches spread over all of them; columns on "
                 "all rows"
             )
-    evidence = Evidence(tuple(columns), sampling, order, needed, limit, found, ahead, horizon)
+    knows = recording is not None and recording.excitation.shape[1] >= recording.u.shape[1]
+    evidence = Evidence(tuple(columns), sampling, order, needed, limit, found, ahead, horizon, knows)
     good, text, reservations = verdict(evidence)
     return LogSummary(title, good, text, reservations, advice(evidence), tuple(notes), evidence)
 
@@ -239,6 +240,6 @@ def part_of(recording: Any, regressors: int, purpose: str) -> Any:
     inner = np.searchsorted(rows, recording.seams) if recording.seams else np.empty(0, dtype=np.intp)
     seams = {*(length * np.arange(1, _STRETCHES)).tolist(), *inner.tolist()}
     values: dict[str, FloatArray] = {
-        name: getattr(recording, name)[rows] for name in ("u", "y", "measured", "d")
+        name: getattr(recording, name)[rows] for name in ("u", "y", "measured", "d", "excitation")
     }
     return replace(recording, **values, seams=tuple(sorted(seam for seam in seams if 0 < seam < len(rows))))

@@ -8,6 +8,7 @@ inputs until the next sample. The experiment that records data is the same loop 
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
 from functools import wraps
 from inspect import signature
 from math import inf
@@ -749,7 +750,10 @@ def _experiment(
     kind = "open-loop" if stabiliser is None else "closed-loop"
     what = "experiment", f"{kind} experiment"
     y_plant = _run_before(setup, exciting, loop, rows, y_plant, *what, engine=engine)
-    return _Stretch(rows.recording(), y_plant, exciting.fallbacks)
+    recording = rows.recording()
+    if stabiliser is not None:  # an excitation alone is the recorded inputs
+        recording = replace(recording, excitation=inputs)
+    return _Stretch(recording, y_plant, exciting.fallbacks)
 
 
 def _run_before(

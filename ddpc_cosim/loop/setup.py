@@ -641,7 +641,7 @@ class LoopSetup:
 
     def _protected(self, recording: Recording) -> Recording:
         """Return a recording that a controller can only read, of the disturbances that it is told."""
-        tables = {key: getattr(recording, key).view() for key in ("u", "y", "measured")}
+        tables = {key: getattr(recording, key).view() for key in ("u", "y", "measured", "excitation")}
         tables["d"] = recording.d[:, self.disturbances.is_told]
         for table in tables.values():
             table.setflags(write=False)

@@ -408,7 +408,11 @@ class Problem:
             tables["loop"]["warm_up_controller"] = controller_table(self.warm_up_controller)
         words = {key: plain(getattr(self, key)) for key in ("title", "summary", "source", "report")}
         tables = absolute_paths(_given(tables | words), Path.cwd())
-        return tables | ({"recording": {"file": recording}} if isinstance(self.recording, Recording) else {})
+        if not isinstance(self.recording, Recording):
+            return tables
+        return tables | {
+            "recording": {"file": recording} | _given({"excitation_columns": self._excitation()})
+        }
 
     def write_recording(self, path: Path) -> None:
         """Write the logged data, if there are any, as the CSV file that :meth:`tables` names."""
@@ -416,7 +420,13 @@ class Problem:
             outputs = self._names("outputs")
             measured = list(self.measurements) or outputs
             known = list(self.disturbances)
-            self.recording.write_csv(path, self._names("inputs"), outputs, measured, known)
+            inputs, excitation = self._names("inputs"), self._excitation()
+            self.recording.write_csv(path, inputs, outputs, measured, known, excitation)
+
+    def _excitation(self) -> list[str]:
+        """Return headers for what moved the inputs of the logged data from outside, if that is known."""
+        assert isinstance(self.recording, Recording)
+        return [f"excitation {i + 1}" for i in range(self.recording.excitation.shape[1])]
 
     def _plant_table(self) -> Table:
         coupling = {key: value for key, value in self.coupling.items() if key != "steps"}

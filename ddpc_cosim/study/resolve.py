@@ -645,6 +645,7 @@ class _Resolution:
                 outputs=outputs,
                 measurements=measurements,
                 disturbances=tuple(known.values()),
+                excitation=section.excitation_columns,
                 columns={name: header for name, header in section.columns.items() if name in signals},
                 **section.format,
             )

@@ -1,6 +1,7 @@
 """Instrumental variables against the problems as printed, and what is consistent in closed loop."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
 from ddpc_controllers.data.hankel import ONE, WindowLayout
-from ddpc_controllers.data.instruments import predict_all_at_once, predict_one_by_one
+from ddpc_controllers.data.instruments import predict_all_at_once, predict_from_head, predict_one_by_one
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
 from ddpc_cosim.settings import declared_settings
 
@@ -38,12 +39,13 @@ def recorded_in_closed_loop(
     """Record a plant around a feedback of its noisy outputs, an excitation added to it."""
     rng = np.random.default_rng(seed)
     (p, order), m = plant.c.shape, plant.b.shape[1]
-    x, u, y = np.zeros(order), np.zeros((samples, m)), np.zeros((samples, p))
+    x, u, y, w = np.zeros(order), np.zeros((samples, m)), np.zeros((samples, p)), np.zeros((samples, m))
     for k in range(samples):
         y[k] = plant.c @ x + noise * rng.standard_normal(p)
-        u[k] = -gain * np.resize(y[k], m) + dither * rng.uniform(-1.0, 1.0, m)
+        w[k] = dither * rng.uniform(-1.0, 1.0, m)
+        u[k] = -gain * np.resize(y[k], m) + w[k]
         x = plant.advance(x, u[k])
-    return Recording(u, y, y, 0.1)
+    return Recording(u, y, y, 0.1, excitation=w)
 
 
 def quadratic_optimum(
@@ -151,6 +153,55 @@ def test_closed_loop_instruments_are_the_printed_problem(
         assert run.u[k] == pytest.approx(x[u_at : u_at + m], abs=1e-6)
 
 
+@pytest.mark.parametrize("limit", [0.3, 50.0])
+@pytest.mark.parametrize("current", [True, False])
+@pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2)])
+@pytest.mark.parametrize("method", [DeePC, SPC])
+def test_excitation_instruments_are_two_stage_least_squares_and_a_recursion(
+    method: type[DeePC | SPC], inputs: int, outputs: int, current: bool, limit: float
+) -> None:
+    """Both stages written out with projections; the recursion is solved with the plan, not beforehand."""
+    m, p = inputs, outputs
+    plant = PLANT if m == 1 else LinearPlant(PLANT.a, np.array([[0.5, 0.1], [1.0, -0.6]]), np.eye(2) + 0.1)
+    recording, known = recorded_in_closed_loop(300, plant=plant), PAST + current
+    back = 2 * known * (m + p) // m
+    rows = range(back, len(recording))
+    z = np.array([[*recording.excitation[k - back : k].ravel(), 1.0] for k in rows])
+    x = np.array([[*recording.u[k - known : k].ravel(), *recording.y[k - known : k].ravel()] for k in rows])
+    x_of_z = z @ np.linalg.solve(z.T @ z, z.T @ x)
+    theta = np.linalg.solve(x_of_z.T @ x_of_z, x_of_z.T @ recording.y[rows]).T
+    of_u, of_y = theta[:, : known * m], theta[:, known * m :]
+    size, y_at = HORIZON * (m + p), HORIZON * m
+    select = np.eye(size)
+    cost = np.vstack([Q**0.5 * select[y_at:], R**0.5 * select[:y_at]])
+    settings: dict[str, Any] = REGULATION | {"use_current_output": current, "instruments": "excitation"}
+    if method is DeePC:
+        settings["slack"] = False
+    reference = np.repeat([[0.0, 0.2], [1.0, -0.3]], 12, axis=0)[:, :p]
+    loop = make_loop(recording, np.full(m, limit), np.full(p, np.inf))
+    run = close_loop(method(**settings), loop, plant.advance, plant.c, reference, 18)
+    for k, sample in enumerate(run.samples):
+        u_ini, y_ini = before(run.u, np.zeros(m), k, PAST), before(run.y, run.y[0], k + current, known)
+        equal, to = np.zeros((HORIZON * p, size)), np.zeros(HORIZON * p)
+        for i in range(HORIZON):
+            at = slice(i * p, (i + 1) * p)
+            equal[at, y_at + i * p : y_at + (i + 1) * p] = np.eye(p)
+            for j in range(known):
+                u_part, y_part = of_u[:, j * m : (j + 1) * m], of_y[:, j * p : (j + 1) * p]
+                if (sample_of_u := i + j - PAST) >= 0:
+                    equal[at, sample_of_u * m : (sample_of_u + 1) * m] -= u_part
+                else:
+                    to[at] += u_part @ u_ini[sample_of_u]
+                if (sample_of_y := i + j - known) >= 0:
+                    equal[at, y_at + sample_of_y * p : y_at + (sample_of_y + 1) * p] -= y_part
+                else:
+                    to[at] += y_part @ y_ini[sample_of_y]
+        target = np.concatenate([Q**0.5 * sample.reference.ravel(), np.zeros(HORIZON * m)])
+        optimum = quadratic_optimum(cost, target, equal, to, select[:y_at], limit)
+        assert run.u[k] == pytest.approx(optimum[:m], abs=1e-6)
+    assert (np.abs(run.u).max() > limit - 1e-9) == (limit < 1.0)
+
+
 @pytest.mark.parametrize("length", [PAST, PAST + 1])
 @pytest.mark.parametrize("affine", [True, False])
 @pytest.mark.parametrize("disturbances", [0, 2])
@@ -192,7 +243,7 @@ def test_the_predictor_is_a_recursion_of_least_squares(
     assert predictor @ np.concatenate(window) == pytest.approx(y[length:].ravel(), abs=1e-8)
 
 
-@pytest.mark.parametrize("instruments", ["open-loop", "closed-loop"])
+@pytest.mark.parametrize("instruments", ["open-loop", "closed-loop", "excitation"])
 @pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC])
 @pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2), (2, 1)])
 def test_without_noise_instruments_change_nothing(
@@ -201,6 +252,7 @@ def test_without_noise_instruments_change_nothing(
     rng = np.random.default_rng(10 * inputs + outputs)
     plant = LinearPlant.random(rng, 3, inputs, outputs)
     recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (150, inputs)), 3, plant.c)
+    recording = replace(recording, excitation=recording.u)
     loop = make_loop(recording, np.full(inputs, 0.4), np.full(outputs, np.inf))
     reference = np.repeat(rng.uniform(-1.0, 1.0, (3, outputs)), 20, axis=0)
 
@@ -230,6 +282,67 @@ def test_in_closed_loop_only_one_sample_at_a_time_is_consistent() -> None:
     assert errors["one by one"][0] > 1.5 * errors["one by one"][1] > 2.25 * errors["one by one"][2]
     assert errors["one by one"][2] < 0.02
     assert min(errors["at once"]) > 0.2
+
+
+def test_with_a_short_past_only_excitation_is_consistent() -> None:
+    """A pole at 0.9 and a past of the plant's order: what it leaves out biases the others."""
+    plant = LinearPlant(np.diag([0.9, -0.3]), np.array([[1.0], [1.0]]), np.array([[1.0, 0.5]]))
+    markov = [(plant.c @ np.linalg.matrix_power(plant.a, i) @ plant.b)[0, 0] for i in range(HORIZON)]
+    true = np.array([[markov[i - j] if i >= j else 0.0 for j in range(HORIZON)] for i in range(HORIZON)])
+    layout = WindowLayout(("u", 0, 2), ("y", 0, 3), ("u", 2, HORIZON), ("y", 3, HORIZON))
+    errors: dict[bool, list[float]] = {True: [], False: []}
+    for samples in (400, 4_000, 20_000):
+        recording = recorded_in_closed_loop(samples, plant=plant, gain=0.2)
+        for by_excitation, of_length in errors.items():
+            predictor = predict_from_head(recording, layout, 3, "test", by_excitation=by_excitation)
+            of_length.append(float(np.abs(predictor[:, -HORIZON:] - true).max()))
+    assert errors[True][0] > 1.5 * errors[True][1] > 2.25 * errors[True][2]
+    assert errors[True][2] < 0.02
+    assert min(errors[False]) > 0.15
+
+
+def test_disturbances_and_seams_go_with_excitation() -> None:
+    """A known disturbance is an instrument itself; without noise the coefficients are the plant's."""
+    rng = np.random.default_rng(0)
+    u, d, y = rng.standard_normal((300, 1)), rng.standard_normal((300, 1)), np.zeros((300, 1))
+    for first, end in ((0, 140), (140, 300)):
+        for k in range(first + 1, end):
+            y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1] + 0.3 * d[k - 1] + 2.0
+    recording = Recording(u, y, y, 0.1, (140,), d, excitation=u)
+    layout = WindowLayout(("u", 0, 1), ("y", 0, 2), (ONE, 0, 1), ("d", 0, 4), ("u", 1, 3), ("y", 2, 3))
+    predictor = predict_from_head(recording, layout, 2, "test", by_excitation=True)
+    windows = layout.stack({"u": u, "y": y, "d": d}, (140,))
+    assert predictor @ windows[:-3] == pytest.approx(windows[-3:], abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("recording", "fault"),
+    [
+        (
+            replace(recorded_in_closed_loop(300), excitation=np.empty((300, 0))),
+            "the recording knows none: ",
+        ),
+        (
+            replace(recorded_in_closed_loop(300), excitation=np.random.default_rng(9).normal(size=(300, 1))),
+            "input 1 of the recording does not follow what is said to have moved it",
+        ),
+        (
+            replace(recorded_in_closed_loop(300), excitation=np.ones((300, 1))),
+            "does not follow what is said to have moved it",
+        ),
+        (recorded_in_closed_loop(40), "take more than 32 windows; the recording of 40 samples has 25"),
+    ],
+)
+@pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC])
+def test_excitation_that_says_nothing_is_refused(
+    method: type[DeePC | SPC], recording: Recording, fault: str
+) -> None:
+    controller = method(
+        instruments="excitation", initial_length=PAST, horizon=HORIZON, use_current_output=False
+    )
+    with pytest.raises(DataError, match=fault) as raised:
+        controller.start(make_loop(recording, np.array([5.0]), np.array([np.inf])))
+    assert "or use instruments = 'closed-loop'" in str(raised.value)
 
 
 def test_the_prediction_that_is_tested_is_that_of_the_instruments() -> None:

@@ -420,4 +420,5 @@ def without_first(recording: Recording, samples: int) -> Recording:
         recording.sampling_time,
         tuple(int(seam) for seam in np.unique(seams) if 0 < seam < len(kept)),
         recording.d[kept],
+        excitation=recording.excitation[kept],
     )

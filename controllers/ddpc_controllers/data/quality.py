@@ -240,6 +240,7 @@ def head_of(recording: Recording) -> Recording:
         y=recording.y[:head],
         measured=recording.measured[:head],
         d=recording.d[:head],
+        excitation=recording.excitation[:head],
         seams=tuple(seam for seam in recording.seams if seam < head),
     )
 

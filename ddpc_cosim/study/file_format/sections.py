@@ -492,6 +492,11 @@ class RecordingSection(LogFormat):
     columns: dict[str, str] = setting(
         {}, doc="headers of the columns in the files that are not called as their signals"
     )
+    excitation_columns: list[str] = setting(
+        [],
+        doc="headers of columns of what moved the inputs from outside while a controller ran: what was added "
+        'to them, or its setpoints; for `instruments = "excitation"`',
+    )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing of an experiment, or does not go with files."""
@@ -502,8 +507,8 @@ class RecordingSection(LogFormat):
         else:
             if self.samples is None:
                 yield "samples", "required key is missing; or give the key file, for logged data"
-            if self.columns:
-                yield "columns", "names columns of the key file, which is missing"
+            for key in (key for key in ("columns", "excitation_columns") if getattr(self, key)):
+                yield key, "names columns of the key file, which is missing"
             for key in differing(self).keys() & declared_fields(LogFormat).keys():
                 yield key, "says how the files of the key file are read, which is missing"
 

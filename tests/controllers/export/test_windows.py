@@ -26,7 +26,8 @@ TWO_BY_TWO = experiment(LAG.advance, np.random.default_rng(0).uniform(-1.0, 1.0,
 
 def noisy(recording: Any, deviation: float) -> Any:
     rng = np.random.default_rng(9)
-    return replace(recording, y=recording.y + deviation * rng.standard_normal(recording.y.shape))
+    y = recording.y + deviation * rng.standard_normal(recording.y.shape)
+    return replace(recording, y=y, excitation=recording.u)
 
 
 def side_by_side(
@@ -73,6 +74,7 @@ SETTINGS: dict[str, Callable[[], BehavioralTracking]] = {
     "gamma-DDPC": lambda: GammaDDPC(beta_2=1e-3, horizon=10),
     "DeePC, closed loop": lambda: DeePC(instruments="closed-loop", regulariser="ridge"),
     "SPC, closed loop": lambda: SPC(instruments="closed-loop"),
+    "SPC, excitation": lambda: SPC(instruments="excitation"),
     "SPC, transient": lambda: SPC(predictor="transient", uncertainty=True),
 }
 

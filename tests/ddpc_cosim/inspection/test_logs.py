@@ -1,5 +1,7 @@
 """What is found in logged data: planted faults, known gains and dead times, loops open and closed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -306,6 +308,10 @@ def test_a_closed_loop_is_a_reservation_with_what_it_biases_and_what_to_do() -> 
     advice = " ".join(summary.advice)
     assert "random two-level signal" in advice
     assert "instrumental variables" in advice
+    assert 'settings.instruments = "closed-loop"; where columns have what was added to the inputs' in advice
+    known = recorded(*simulated(104, feedback=0.5))
+    known = replace(known, excitation=known.u)
+    assert 'settings.instruments = "excitation"' in " ".join(known.summary(["valve"], ["level"]).advice)
 
 
 def test_a_number_that_loggers_write_for_a_missing_value_is_a_reservation() -> None:

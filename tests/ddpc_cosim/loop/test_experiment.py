@@ -104,6 +104,7 @@ def test_the_excitation_is_added_and_what_is_recorded_was_applied() -> None:
     recording = experiment(Proportional())
     expected = EXCITATION.draw(1) - 1.4 * recording.y
     assert recording.u == pytest.approx(expected)
+    assert np.array_equal(recording.excitation, EXCITATION.draw(1))
     assert recording.y[1:] == pytest.approx(1.5 * recording.y[:-1] + recording.u[:-1])
     assert np.abs(recording.y).max() < 0.3
 

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 from studies import cases_in, write
 
+from ddpc_controllers import PID
 from ddpc_cosim import (
     ConfigError,
+    Constant,
     DataError,
     FloatArray,
     GaussianNoise,
+    Problem,
     Recording,
+    Study,
     UniformRandom,
     Variable,
     record,
@@ -132,6 +136,45 @@ def test_columns_and_units_are_those_of_the_file(tmp_path: Path) -> None:
     assert np.array_equal(again.measured, trace.measured)
 
 
+def test_columns_say_what_moved_the_inputs_from_outside(tmp_path: Path) -> None:
+    """A case's recording has them, from a log as from a study in Python that is written."""
+    log(tmp_path)
+    text = HEAD + ONE + FROM_FILES + 'file = "log.csv"\n'
+    with_it = cases(tmp_path, text + 'excitation_columns = ["angular_velocity"]')["deepc"]
+    recording, without = with_it.recording, cases(tmp_path, text)["deepc"]
+    assert recording is not None
+    assert without.recording is not None
+    assert recording.excitation[:, 0] == pytest.approx(np.sin(3 * np.arange(120) / 10), abs=1e-6)
+    assert without.recording.excitation.shape == (120, 0)
+    assert with_it.id != without.id
+    (fault,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"\nexcitation_columns = ["speed"]')
+    assert "speed" in fault
+    recording.write_csv(tmp_path / "copy.csv", ["torque"], ["angle"], ["a", "b"], [], ["w"])
+    copy = Recording.read_csv(
+        tmp_path / "copy.csv", sampling_time=0.1, inputs=["torque"], outputs=["angle"], excitation=["w"]
+    )
+    assert np.array_equal(copy.excitation, recording.excitation)
+    assert copy.pieces[0].digest == copy.digest != replace(copy, excitation=copy.u).digest
+    assert Recording.join([copy, copy]).excitation.shape == (240, 1)
+
+
+def test_a_written_study_keeps_what_moved_the_inputs_from_outside(tmp_path: Path) -> None:
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 1))
+    problem = Problem(
+        plant="pendulum",
+        outputs=["angle"],
+        measurements=["angle"],
+        sampling_time=0.1,
+        duration=1.0,
+        reference=Constant(0.0),
+        recording=Recording(u, u, u, 0.1, excitation=0.5 * u),
+    )
+    Study(problem, {"a": PID()}, name="kept").write(tmp_path / "study.toml")
+    (resolved,) = Study.read(tmp_path / "study.toml").resolved().problems.values()
+    assert resolved.recording is not None
+    assert np.array_equal(resolved.recording.excitation, 0.5 * u)
+
+
 def test_several_files_are_a_mosaic_and_their_content_is_part_of_the_case(tmp_path: Path) -> None:
     log(tmp_path), log(tmp_path, "more.csv", 50)
     text = HEAD + ONE + FROM_FILES
@@ -219,6 +262,10 @@ def test_what_does_not_go_with_files(tmp_path: Path) -> None:
         "recording.excitation: none for the input torque",
         "recording.columns: names columns of the key file, which is missing",
     ]
+    assert any(
+        fault.endswith("recording.excitation_columns: names columns of the key file, which is missing")
+        for fault in faults(tmp_path, "recording = { excitation_columns = ['dither'] }")
+    )
     (message,) = faults(tmp_path, EXPERIMENT.replace("samples", 'gaps = "split", samples'))
     assert message.endswith("recording.gaps: says how the files of the key file are read, which is missing")
     log(tmp_path)

@@ -289,6 +289,7 @@ PROBLEMS = {
         recording={
             "file": ["log.csv"],
             "columns": {"torque": "u"},
+            "excitation_columns": ["setpoint"],
             "time_column": "t",
             "time_tolerance": 0.1,
             "dates": "excel",
