@@ -366,7 +366,7 @@ def _is_optimal(statistics: Mapping[str, Any]) -> bool:
     if statistics["success"] or statistics["return_status"] != "Search_Direction_Becomes_Too_Small":
         return bool(statistics["success"])
     left = statistics["iterations"]
-    return max(left["inf_pr"][-1], left["inf_du"][-1], left["mu"][-1]) <= _ROUNDING
+    return all(left[of][-1] <= _ROUNDING for of in ("inf_pr", "inf_du", "mu"))
 
 
 def _outside(ca: Any, y: Any, low: Any, high: Any) -> Any:
