@@ -137,3 +137,7 @@ def test_who_learns_on_follows_a_plant_that_drifts(tmp_path: Path) -> None:
     ):
         of_problem = frame[frame["problem"] == problem].set_index("controller")[error]
         assert of_problem["gpc"] < 0.6 * of_problem[["deepc", "spc"]].min()
+    at_the_limit = frame[frame["problem"] == "limit-that-pays"].set_index("controller")
+    money = at_the_limit["money [EUR]"]
+    assert money["nmpc"] < money["gpc"] < money[["mfapc", "deepc", "spc", "pid"]].min()
+    assert at_the_limit["failed"].sum() == at_the_limit["failed"]["idle"] == 1  # it ignites on its own
