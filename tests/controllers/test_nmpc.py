@@ -137,7 +137,7 @@ def test_it_leaves_less_than_a_hundredth_of_a_step_on_every_plant(name: str) -> 
 
 
 def test_what_is_cheapest_lies_at_the_limit_of_an_output_and_is_an_optimum_to_the_last_digit() -> None:
-    """A hotter reactor leaves less reactant, which is paid for; what holds it at the limit is two balances."""
+    """A hotter reactor leaves less reactant, which costs; two balances say what holds it at the limit."""
     limit, steps, h = 335.0, 30, 10.0
     rate = cstr.RATE * math.exp(-cstr.ACTIVATION / limit)
     concentration = cstr.FLOW / (cstr.FLOW + cstr.VOLUME * rate)
