@@ -57,6 +57,8 @@ _PRECISE = {"tol": 1e-11, "compl_inf_tol": 1e-11, "acceptable_tol": 1e-8, "bound
 """Of IPOPT where slopes can be small beside the squares: of prices, and of outputs just outside a band."""
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
+_ROUNDING = 1e-8
+"""What may be left of the conditions of an optimum where rounding ends the search."""
 _ENDLESS = 1e18
 """Stands for an edge or a limit that there is not."""
 
@@ -313,7 +315,7 @@ class NMPC(Foresight, Exportable):
             ubg=0.0,
         )
         statistics = self._solver.stats()
-        if statistics["success"]:
+        if _is_optimal(statistics):
             states, inputs = _parts(solution["x"], *shapes)
             of_bounds, of_states = _parts(solution["lam_x"], *shapes), _parts(solution["lam_g"], shapes[0])
             self._multipliers = {
@@ -357,6 +359,14 @@ class NMPC(Foresight, Exportable):
         if self._charged:
             facts["prices"] = ", ".join(charge.name for charge in loop.charges)
         return facts
+
+
+def _is_optimal(statistics: Mapping[str, Any]) -> bool:
+    """Return whether IPOPT ended at an optimum, or as near to one as rounding lets it come."""
+    if statistics["success"] or statistics["return_status"] != "Search_Direction_Becomes_Too_Small":
+        return bool(statistics["success"])
+    left = statistics["iterations"]
+    return all(left[of][-1] <= _ROUNDING for of in ("inf_pr", "inf_du", "mu"))
 
 
 def _outside(ca: Any, y: Any, low: Any, high: Any) -> Any:

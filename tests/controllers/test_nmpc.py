@@ -19,12 +19,14 @@ from ddpc_controllers import NMPC, Idle
 from ddpc_controllers.models.plant_equations import PlantEquations, find_model
 from ddpc_cosim import (
     OK,
+    Band,
     Bounds,
     Charge,
     ConfigError,
     FMUPlant,
     Loop,
     PluginError,
+    Price,
     Recording,
     Sample,
     Steps,
@@ -33,7 +35,7 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.results import CaseResult
-from fmu_plants import build_fmu
+from fmu_plants import build_fmu, cstr
 from fmu_plants.equations import resolve
 
 from .loops import ANGLE, DEGREE, close_loop, pendulum, pendulum_loop, quick_pendulum
@@ -132,6 +134,35 @@ def test_it_leaves_less_than_a_hundredth_of_a_step_on_every_plant(name: str) -> 
     left = np.abs(trace.y - trace.reference)[-5:]
     size = np.array([abs(step) or 0.1 for step in steps.values()])
     assert (left / size).max() <= 0.01
+
+
+def test_what_is_cheapest_lies_at_the_limit_of_an_output_and_is_an_optimum_to_the_last_digit() -> None:
+    """A hotter reactor leaves less reactant, which costs; two balances say what holds it at the limit."""
+    limit, steps, h = 335.0, 30, 10.0
+    rate = cstr.RATE * math.exp(-cstr.ACTIVATION / limit)
+    concentration = cstr.FLOW / (cstr.FLOW + cstr.VOLUME * rate)
+    heat = cstr.FLOW * cstr.HEAT_CAPACITY * (cstr.FEED_TEMPERATURE - limit)
+    heat += cstr.REACTION_HEAT * cstr.VOLUME * rate * concentration
+    outputs = ["temperature", "concentration"]
+    per = "mol.min/L"
+    reactant = Price(signal="concentration", price=5.0, unit=f"EUR/{per}", emissions_unit=f"kg/{per}")
+    with FMUPlant(
+        build_fmu(cstr.MODEL), inputs=["coolant_temperature"], outputs=outputs, isolated=False
+    ) as plant:
+        trace = cosimulate(
+            plant,
+            NMPC(model="cstr", horizon=8, change_weight=1e-3),
+            sampling_time=h,
+            duration=steps * h,
+            outputs=["temperature"],
+            reference={"temperature": Band(300.0, limit)},
+            bounds={"coolant_temperature": (285.0, 310.0), "temperature": (200.0, limit)},
+            prices={"reactant": reactant},
+        )
+    assert set(trace.status) == {OK}
+    assert trace.y[:, 0].max() <= limit + 1e-2
+    assert trace.y[-1, 0] == pytest.approx(limit, abs=1e-2)
+    assert trace.u[-1, 0] == pytest.approx(limit - heat / cstr.HEAT_TRANSFER, abs=0.05)
 
 
 @pytest.mark.parametrize(
