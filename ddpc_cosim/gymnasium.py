@@ -196,6 +196,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         ]:
             self.close()
             raise ConfigError(faults)
+        self._shape = low.shape
         self.action_space = spaces.Box(low, high, dtype=np.float64)
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(seen),), np.float64)
         self._end_run()
@@ -271,8 +272,8 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         run, agent, k = self._run, self._agent, self._k
         if run is None:
             raise ConfigError("there is no episode: call reset() first")
-        if np.shape(action) != self.action_space.shape:
-            shape = f"shape {np.shape(action)}; needed: {self.action_space.shape}"
+        if np.shape(action) != self._shape:
+            shape = f"shape {np.shape(action)}; needed: {self._shape}"
             raise ConfigError(f"action: {shape}: {', '.join(self.action_names)}")
         agent.action = action
         try:
@@ -494,15 +495,16 @@ class _Costs:
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])
                 for kind, variables in kinds
             ]
-        self._worst, self._of_errors = float(errors @ sizes), errors.tolist()
+        self._worst, self._of_errors = float(errors @ sizes), list(enumerate(errors.tolist()))
         if self._squares:
             self._worst += self._squares * float(self._of_squares[0] @ sizes**2)
 
     def of(self, k: int) -> float:
         """Return what sample k costs, whose inputs have been held."""
-        store = self._store
-        pairs = zip(store.reference[k].tolist(), store.y[k].tolist(), self._of_errors, strict=True)
-        cost = sum([abs(wanted - y) * weight for wanted, y, weight in pairs], 0.0)
+        store, cost = self._store, 0.0
+        wanted, y = store.reference.item, store.y.item
+        for i, weight in self._of_errors:
+            cost += abs(wanted(k, i) - y(k, i)) * weight
         if self._squares:
             error = store.reference[k] - store.y[k]
             u = store.u[k] - self._rest
@@ -512,7 +514,8 @@ class _Costs:
                 cost += self._squares * sum(float(weights @ values**2) for weights, values in squared)
         if self._money:
             cost += self._money * self._paid(k)
-        self._worst = max(self._worst, cost)
+        if cost > self._worst:
+            self._worst = cost
         return cost
 
     def until_end(self, k: int, held: int) -> float:
