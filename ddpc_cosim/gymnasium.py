@@ -8,6 +8,7 @@ seed has in ``ddpc-cosim run``. The problems of the built-in benchmark are regis
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal
 
@@ -86,8 +87,8 @@ def make(
     problem, scenario : str, optional
         Which of the study's; default: the only problem, the first scenario.
     horizon : int, optional
-        How many samples ahead are observed, as far as the problem's preview goes; default: as many as the
-        controller of the study that asks for most.
+        How many samples ahead are observed, as far as the problem's preview goes, at most those of an
+        episode; default: as many as the controller of the study that asks for most.
     weights : mapping of str to float, optional
         By metric and signal (``"mean_abs_error.angle"``, ``"money"``), what a unit of each figure that the
         study ranks by counts in the reward; default: 1 where it is one figure, or where there are money or
@@ -101,10 +102,12 @@ def make(
     ------
     ConfigError
         The study has errors, or no such problem or scenario; an input has no finite limits, which a space of
-        actions needs; a weight is of no figure that the study ranks by.
+        actions needs; a weight is of no figure that the study ranks by, or no number; an impossible horizon.
     CosimError
         The plant cannot be built.
     """
+    if isolated not in (True, False, "auto"):
+        raise ConfigError(f'isolated = {isolated!r} is not possible; allowed: True, False, "auto"')
     resolved = study.resolved(problem) if isinstance(study, Study) else read_study(str(study), problem)
     if problem is None and len(resolved.problems) == 1:
         problem = next(iter(resolved.problems))
@@ -173,7 +176,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         weights: Mapping[str, float] | None = None,
     ) -> None:
         self._case, self._resolved = case, resolved
-        self._horizon = resolved.forecast_horizon if horizon is None else horizon
+        self._horizon = _horizon_of(case, resolved, horizon)
         self._spans, self.figures = reference_spans(resolved), _figures(case, resolved, weights or {})
         self._plant: Plant | None = None
         self._run: Steps[Trace] | None = None
@@ -193,6 +196,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         ]:
             self.close()
             raise ConfigError(faults)
+        self._shape = low.shape
         self.action_space = spaces.Box(low, high, dtype=np.float64)
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(seen),), np.float64)
         self._end_run()
@@ -227,6 +231,8 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         super().reset(seed=seed)
         case_seed = int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed
         case = with_seed(self._case, self._resolved, case_seed)
+        if not isinstance(options, Mapping | None):
+            raise ConfigError(f"options = {options!r}; needed: a dict, such as {{'state': saved}}")
         unknown = [name for name in options or {} if name != "state"]
         if unknown:
             hints = [f'options: "{name}" is unknown; {did_you_mean(name, ["state"])}' for name in unknown]
@@ -266,8 +272,8 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         run, agent, k = self._run, self._agent, self._k
         if run is None:
             raise ConfigError("there is no episode: call reset() first")
-        if np.shape(action) != self.action_space.shape:
-            shape = f"shape {np.shape(action)}; needed: {self.action_space.shape}"
+        if np.shape(action) != self._shape:
+            shape = f"shape {np.shape(action)}; needed: {self._shape}"
             raise ConfigError(f"action: {shape}: {', '.join(self.action_names)}")
         agent.action = action
         try:
@@ -384,7 +390,11 @@ def _going_on(case: Case, state: Any) -> Case:
     """Return a case whose plant goes on from a state until the case's end."""
     if not isinstance(state, SavedState):
         raise ConfigError(f"options: state = {state!r}; needed: what save_state() has returned")
-    samples = round(case.duration / case.sampling_time) - state.resumption.samples
+    all_samples = round(case.duration / case.sampling_time)
+    samples = all_samples - state.resumption.samples
+    if samples < 1:
+        end = f"an episode of this problem ends at sample {all_samples}"
+        raise ConfigError(f"options: state: it is of sample {state.resumption.samples}; {end}")
     return replace(
         without_experiment(case),
         parameters=state.parameters,
@@ -395,6 +405,17 @@ def _going_on(case: Case, state: Any) -> Case:
     )
 
 
+def _horizon_of(case: Case, resolved: ResolvedStudy, horizon: int | None) -> int:
+    """Return how many samples ahead are observed: as asked for, or by default."""
+    if horizon is None:
+        return resolved.forecast_horizon
+    most = round(case.duration / case.sampling_time)
+    if not isinstance(horizon, Integral) or isinstance(horizon, bool) or not 0 <= horizon <= most:
+        needed = f"allowed: an integer from 0 to {most}, the samples of an episode"
+        raise ConfigError(f"horizon = {horizon!r} is not possible; {needed}")
+    return int(horizon)
+
+
 def _figures(case: Case, resolved: ResolvedStudy, weights: Mapping[str, float]) -> dict[str, float]:
     """Return what a study ranks by, by key, and what a unit of each counts."""
     known = no_samples(case, Outcome.TERMINATED, "").metrics(case.metrics)
@@ -403,8 +424,13 @@ def _figures(case: Case, resolved: ResolvedStudy, weights: Mapping[str, float]) 
     errors = [key for key in ranked if split_key(key)[0] == "mean_abs_error"]
     in_spans = len(errors) == len(ranked) > 1
     figures = {key: 1.0 / abs(spans[split_key(key)[1]]) / len(ranked) if in_spans else 1.0 for key in ranked}
+    if not isinstance(weights, Mapping):
+        raise ConfigError(f"weights = {weights!r}; needed: numbers by metric, such as {{'money': 2.0}}")
     faults = list[str]()
     for name, weight in weights.items():
+        if not isinstance(weight, Real) or isinstance(weight, bool) or not np.isfinite(weight):
+            faults.append(f"weights: {name} = {weight!r} is not possible; allowed: a finite number")
+            continue
         try:
             figures |= dict.fromkeys(keys_named(name, ranked), float(weight))
         except ConfigError as error:
@@ -469,15 +495,16 @@ class _Costs:
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])
                 for kind, variables in kinds
             ]
-        self._worst, self._of_errors = float(errors @ sizes), errors.tolist()
+        self._worst, self._of_errors = float(errors @ sizes), list(enumerate(errors.tolist()))
         if self._squares:
             self._worst += self._squares * float(self._of_squares[0] @ sizes**2)
 
     def of(self, k: int) -> float:
         """Return what sample k costs, whose inputs have been held."""
-        store = self._store
-        pairs = zip(store.reference[k].tolist(), store.y[k].tolist(), self._of_errors, strict=True)
-        cost = sum([abs(wanted - y) * weight for wanted, y, weight in pairs], 0.0)
+        store, cost = self._store, 0.0
+        wanted, y = store.reference.item, store.y.item
+        for i, weight in self._of_errors:
+            cost += abs(wanted(k, i) - y(k, i)) * weight
         if self._squares:
             error = store.reference[k] - store.y[k]
             u = store.u[k] - self._rest
@@ -487,7 +514,8 @@ class _Costs:
                 cost += self._squares * sum(float(weights @ values**2) for weights, values in squared)
         if self._money:
             cost += self._money * self._paid(k)
-        self._worst = max(self._worst, cost)
+        if cost > self._worst:
+            self._worst = cost
         return cost
 
     def until_end(self, k: int, held: int) -> float:

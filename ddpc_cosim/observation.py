@@ -80,9 +80,8 @@ class Observation:
 
     def with_all_limits(self, sample: Sample) -> FloatArray:
         """Return them with limits that do not move, infinite ones too, as code in C is given them."""
-        parts = [sample.y, sample.setpoint]
-        if self._others:
-            parts.insert(1, sample.measured[self._others])
+        parts = [sample.y, sample.measured[self._others]] if self._others else [sample.y]
+        parts.append(sample.setpoint)
         if self._preview:
             parts.append(sample.reference[: self._preview].ravel())
         for name, rows in self._further:

@@ -401,6 +401,8 @@ def _from_table(place: Place, value: Any, kind: Any) -> Any:
         what = f"unknown setting of {kind.__name__}"
         hints = {key: instead_of(kind, key) or did_you_mean(key, known) for key in unknown}
         raise SettingsError([((*place, key), f"{what}; {hint}") for key, hint in hints.items()])
+    if missing := [name for name in known if name not in entries and is_required(kind, name)]:
+        raise SettingsError([(place, f"a {kind.__name__} needs {', '.join(missing)} too")])
     try:
         return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
     except MissingLibraryError:
@@ -411,6 +413,12 @@ def _from_table(place: Place, value: Any, kind: Any) -> Any:
         raise SettingsError([(place, fault) for fault in error.faults]) from error
     except Exception as error:  # a third party's constructor can fail in any way
         raise SettingsError([(place, str(error))]) from error
+
+
+def is_required(kind: Any, name: str) -> bool:
+    """Whether an object of a plug-in class cannot be made without a setting."""
+    field = kind.__dataclass_fields__[name]
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:

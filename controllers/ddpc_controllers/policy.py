@@ -6,6 +6,7 @@ returns are the inputs, in the plant's units.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import devnull
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,6 +31,7 @@ from ddpc_cosim.files.texts import printable
 
 _NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 _LONGEST_REASON = 300
+_AS_ONE_FILE = "needed: one file, as onnx.save_model(onnx.load(FILE), FILE) writes it"
 
 
 def preload() -> None:
@@ -78,6 +80,9 @@ class Policy(Controller):
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if not isinstance(self.training, Training | None):
+            needed = "needed: a Training, of steps, seeds and by"
+            raise ConfigError(f"Policy: training = {self.training!r} is not possible; {needed}")
         self._open()
 
     def _open(self) -> None:
@@ -87,15 +92,18 @@ class Policy(Controller):
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.use_deterministic_compute = True
         options.log_severity_level = 4  # what is wrong is raised, too
+        # It cannot lead to other files, which no case's id would know: they are looked for where none can be.
+        options.add_session_config_entry("session.model_external_initializers_file_folder_path", devnull)
         name = Path(self.file).name
         try:
-            # From its content: it cannot lead to other files, which no case's id would know.
             content = Path(self.file).read_bytes()
             session = runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except OSError as error:
             raise ConfigError(f"{self.file}: cannot be read: {error.strerror}") from error
         except Exception as error:  # its errors have no common base class
             reason = printable(str(error))[:_LONGEST_REASON]
+            if "external data" in reason.lower():
+                reason = f"some of its numbers lie in another file; {_AS_ONE_FILE}"
             raise ConfigError(f"{name}: ONNX Runtime cannot load it: {reason}") from error
         inputs, outputs = session.get_inputs(), session.get_outputs()
         faults = []
@@ -148,7 +156,9 @@ class Policy(Controller):
             u, *_ = self._session.run([self._output.name], {self._input.name: given})
         except Exception as error:  # its errors have no common base class
             reason = printable(str(error))[:_LONGEST_REASON]
-            raise ControllerError(f"{Path(self.file).name}: ONNX Runtime: {reason}") from error
+            listed = ", ".join(variable.header for variable in self._observation.variables)
+            what = f"{reason}; it was given {given.size} numbers: {listed}"
+            raise ControllerError(f"{Path(self.file).name}: ONNX Runtime: {what}") from error
         u = u.ravel().astype(np.float64)
         if u.shape != (len(self._loop.inputs),) or not np.isfinite(u).all():
             what = f"the policy returned {u.tolist()[:10]}"

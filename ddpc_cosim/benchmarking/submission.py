@@ -227,6 +227,10 @@ def enter(
     )
     name, section = _section_of(target, base.tables, chosen)
     folder = folder or Path("runs") / f"{base.tables['name']}-{name}"
+    there = Entry.read(folder) if (folder / ENTRY_FILE).exists() else None
+    if there and (Path(there.study).name, there.problems, there.name) != (Path(study).name, chosen, name):
+        what = f"{there.name} on {', '.join(there.problems) or there.study}"
+        raise ConfigError(f"{folder} is another submission, of {what}; choose another folder by --out")
     _begin(target, folder)
     entry = Entry(study, chosen, name, section)
     resolved = entry.resolved(base, folder)
@@ -281,7 +285,7 @@ def _name(attribute: str) -> str:
 
 def _has_search(resolved: ResolvedProblems, name: str) -> bool:
     sections = (problem.study.controllers[name] for problem in resolved.problems.values())
-    return any(search_spaces(section, by_prediction=False) for section in sections)
+    return any(dict(search_spaces(section, by_prediction=False)) for section in sections)
 
 
 def _tuned_section(path: Path, name: str) -> Table:

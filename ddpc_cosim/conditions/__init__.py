@@ -42,6 +42,7 @@ _DISTURBANCES, _SIGNALS, _EXPERIMENT_SIGNALS = 3, 4, 5
 _SIGNAL_KEYS = ("disturbances", "inputs", "recorded_inputs")
 # What ``repr`` shows always: ids of cases depend on it.
 _SHOWN = ("rate_limit", "delay", "quantum", "loss")
+_NONE: FloatArray = np.empty(0)
 
 
 @cache
@@ -366,7 +367,7 @@ class Actuators:
 
     def changed(self, applied: FloatArray) -> FloatArray:
         """Return the columns of :func:`changed_inputs` among all inputs."""
-        return applied[self._changed]
+        return applied[self._changed] if self._changed.size else _NONE
 
     def tables(self) -> "ActuatorTables":
         """Return what :meth:`apply` goes by in the run that has been started."""

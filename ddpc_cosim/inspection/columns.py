@@ -245,7 +245,7 @@ def sampling_facts(time: FloatArray) -> SamplingFacts:
     return SamplingFacts(
         len(time),
         usual,
-        float(np.sqrt(np.mean(np.square(near - usual)))) if len(near) else 0.0,
+        float(np.sqrt(np.mean(np.square(near - usual)))) if len(near) else np.nan,
         int(gap.sum()),
         int(np.rint(apart[gap] / usual - 1.0).sum()),
         float(apart[gap].max(initial=0.0)),

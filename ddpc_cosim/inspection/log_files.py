@@ -1,6 +1,7 @@
 """Files of logged data: which columns are inputs, outputs and disturbances; what the whole is good for."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Recording
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.files.log_cells import encoding_of, headers_of, likely_times
 from ddpc_cosim.files.logs import Log, LogFormat, read_log
 from ddpc_cosim.inspection.columns import (
@@ -64,6 +65,8 @@ def inspect_log(
     format = LogFormat(time_column=time_column_of(path), resample="no" if sampling_time is None else "mean")
     log = read_log(path, sampling_time=sampling_time, format=format, held=inputs, lenient=True)
     given = {"input": inputs, "output": outputs, "disturbance": disturbances}
+    if not len(log.values):
+        raise DataError(f"{path.name}: has no rows; needed: a header and one row per sample")
     _require_columns(log, given)
     guesses = _guessed(log, given)
     order = [
@@ -71,6 +74,9 @@ def inspect_log(
         for role in given
         for name in (given[role] or [n for n, guess in guesses.items() if guess.role == role])
     ]
+    if twice := dict.fromkeys(log.names[i] for i in order if log.names.count(log.names[i]) > 1):
+        hint = "rename all but one, or leave them out"
+        raise DataError([f'{path.name}: several columns are called "{name}"; {hint}' for name in twice])
     roles = {log.names[i]: _role_of(log.names[i], given, guesses) for i in order}
     rest = [i for i in range(len(log.names)) if i not in order]
     columns = [
@@ -79,7 +85,7 @@ def inspect_log(
     ]
     sampling = sampling_facts(log.time)
     if not np.isfinite(sampling.sampling_time):
-        sampling = SamplingFacts(len(log.values), sampling_time or np.nan)
+        sampling = replace(sampling, sampling_time=sampling_time or np.nan)
     used = [column for column in columns if column.role and not column.empty]
     recording = _recording(log, used, sampling)
     return summarise(path.name, recording, columns, sampling, [*_notes(log, guesses)])

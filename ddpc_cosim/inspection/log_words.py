@@ -116,7 +116,12 @@ def _hindrances(evidence: Evidence) -> Iterator[str]:
         return
     relations = evidence.relations
     if not relations.pairs:
-        yield f"it is too short: {evidence.sampling.rows} rows"
+        sampling = evidence.sampling
+        if sampling.backwards:
+            what = f"{sampling.backwards} of its {sampling.rows} rows are earlier than the row before"
+            yield f"{what}, and no stretch between them is long enough"
+        else:
+            yield f"it is too short: {sampling.rows} rows"
         return
     acting = [pair for pair in relations.pairs if pair.acts]
     for column in inputs:
@@ -194,7 +199,7 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
         yield f"{sampling.duplicates} rows have the time of the row before, the first is row {first}"
     if sampling.backwards:
         yield f"{sampling.backwards} rows are earlier than the row before"
-    if math.isfinite(sampling.jitter) and not sampling.is_even:
+    if math.isfinite(sampling.jitter / sampling.sampling_time) and not sampling.is_even:
         part = 100 * sampling.jitter / sampling.sampling_time
         yield f"rows are unevenly apart: the time between them varies by {part:.2g} % (root mean square)"
     if evidence.order < min(evidence.order_needed, evidence.order_limit) and evidence.relations.pairs:
@@ -248,7 +253,7 @@ def _advice(evidence: Evidence) -> Iterator[str]:
                 f"{what} has no end to its interval: {pair.output} does not settle within what was recorded; "
                 f"hold {pair.input} longer, or control it as one that integrates"
             )
-    if _hindrances_of_content(evidence):
+    if length and _hindrances_of_content(evidence):
         yield (
             f"record at least {evidence.in_time(length)}, every input switched at random between two levels, "
             f"each by itself, held for {evidence.in_time(hold)} at least"

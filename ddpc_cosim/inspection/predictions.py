@@ -8,7 +8,7 @@ import numpy as np
 
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.plugins import Plugin, installed
-from ddpc_cosim.settings import declared_settings
+from ddpc_cosim.settings import declared_settings, is_required
 from ddpc_cosim.variables import FloatArray
 from ddpc_cosim.windows import FAIR, window_starts
 
@@ -107,9 +107,9 @@ def predictions(recording: Any, horizon: int, memory: int) -> Predictions:
 
 
 def _tested(plugin: Plugin, recording: Any, horizon: int, memory: int) -> Iterator[Method]:
-    """Yield a plug-in's errors, or why it has none; nothing of one that does not predict."""
+    """Yield a plug-in's errors, or why it has none; nothing of one that does not predict by itself."""
     known = declared_settings(plugin.value) if isinstance(plugin.value, type) else {}
-    if "horizon" not in known:
+    if "horizon" not in known or any(is_required(plugin.value, name) for name in known):
         return
     try:
         controller = plugin.value(horizon=horizon)

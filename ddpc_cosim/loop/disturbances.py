@@ -17,6 +17,7 @@ from ddpc_cosim.variables import FloatArray, names, unknown_names
 # Which stream of a seed errors of forecasts have: the others are those of loop.setup and of conditions.
 _FORECAST_STREAM = 10
 _MOST_ISSUES = 5
+_NONE: FloatArray = np.empty(0)
 """Moments of a run whose forecasts are kept with its samples."""
 
 
@@ -177,9 +178,9 @@ class ActingDisturbances:
         y, seen : array
             The outputs and these inputs, as they are and as sensors tell them.
         """
+        if not self.places.size:
+            return _NONE
         now = seen[self.places]
-        if not now.size:
-            return now
         past = self._past
         past.append(np.where(np.isnan(now), past[-1] if past else y[self.places], now))
         del past[: -1 - max(self._lags)]

@@ -866,7 +866,7 @@ class _Rows:
         """
         setup, store, outlook = self._setup, self.store, self.outlook
         measured = setup.measure(first + k, y_plant)
-        disturbance = measured.d[setup.disturbances.is_told]
+        disturbance = measured.d[setup.disturbances.is_told] if measured.d.size else measured.d
         if outlook.has_bands:
             store.reference[k] = outlook.nearest(k, measured.y)
         if disturbance.size:
@@ -882,7 +882,7 @@ class _Rows:
         store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
-        sample = outlook.sample(k, float(self.time[k]), measured.seen, measured.measured, disturbance)
+        sample = outlook.sample(k, self.time.item(k), measured.seen, measured.measured, disturbance)
         if self._forecast is not None:
             self._keep_forecast(k, sample.forecast)
         return sample, measured
@@ -895,7 +895,9 @@ class _Rows:
         That is a value for each of its inputs.
         """
         setup, store = self._setup, self.store
-        held = clip_inputs(decision.with_status(measured.status), self.outlook.bounds(k))
+        if measured.status:
+            decision = decision.with_status(measured.status)
+        held = clip_inputs(decision, self.outlook.bounds(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
             store.more["charged"][k] = setup.charged.amounts(controller, applied, measured.all_outputs)

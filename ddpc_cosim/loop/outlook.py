@@ -257,6 +257,8 @@ class Outlook:
         self._expected = expected
         self._bands = np.flatnonzero(wish.is_band)
         self.has_bands = bool(self._bands.size)
+        at_first = slice(0, 1 + horizon) if self._sees_all else self._ahead
+        self._fixed_limits = None if limits.moving else self._limits(at_first)
         self._secret = np.array([not charge.known for charge in charges], dtype=bool)
         self._no_forecast, self._no_price = np.empty((horizon, 0)), np.empty((horizon + 1, 0))
         for table in (price, self._no_forecast, self._no_price):
@@ -279,8 +281,8 @@ class Outlook:
     ) -> Sample:
         """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
         rows: Any = slice(k, k + 1 + self._horizon) if self._sees_all else k + self._ahead
-        band, limits = self.wish.band[rows], self.limits.table[rows]
-        reference = self.wish.reference[rows]
+        band, reference = self.wish.band[rows], self.wish.reference[rows]
+        input_limits, output_limits = self._fixed_limits or self._limits(rows)
         if self.has_bands:
             reference = self._nearest(y, reference, band)
         forecast = self._no_forecast
@@ -288,7 +290,7 @@ class Outlook:
             forecast = self._expected.after(k, self._horizon, disturbance)
             forecast.setflags(write=False)
         if not self._sees_all or self.has_bands:
-            for array in (band, limits, reference):
+            for array in (band, reference):
                 array.setflags(write=False)
         return Sample(
             k,
@@ -302,9 +304,15 @@ class Outlook:
             band[0],
             band[1:],
             self._price(k) if self.charges else self._no_price,
-            limits[:, : self._inputs],
-            limits[1:, self._inputs :],
+            input_limits,
+            output_limits,
         )
+
+    def _limits(self, rows: Any) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of inputs in so many rows, and of outputs in all but the first."""
+        limits = self.limits.table[rows]
+        limits.setflags(write=False)
+        return limits[:, : self._inputs], limits[1:, self._inputs :]
 
     def _price(self, k: int) -> FloatArray:
         """Return the prices that are known at sample k, shape (horizon + 1, n_prices)."""

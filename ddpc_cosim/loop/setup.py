@@ -518,8 +518,9 @@ class LoopSetup:
 
     def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
         """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        left = self._is_left[self._is_driven]
-        return np.where(left, np.nan, u) if isinstance(controller, PlantControl) else u
+        if not isinstance(controller, PlantControl):
+            return u
+        return np.where(self._is_left[self._is_driven], np.nan, u)
 
     def taken_over(self, controller: Controller, past: Recording) -> tuple[Recording | None, tuple[str, ...]]:
         """Return what is known of the samples before a run, under this controller, and what is not known.
@@ -552,7 +553,9 @@ class LoopSetup:
         y = self._sensors.disturb(k, self.disturbances.with_inputs(k, y_plant))
         seen, status = self._sensors.measure(k, y)
         d = self.disturbances.measured(y, seen)
-        return Measured(y[self._outputs], seen[self._outputs], seen[self._measured], status, d, y)
+        controlled = y[self._outputs]
+        as_seen = controlled if seen is y else seen[self._outputs]
+        return Measured(controlled, as_seen, seen[self._measured], status, d, y)
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""

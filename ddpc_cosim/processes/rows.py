@@ -165,7 +165,9 @@ class RowStore:
     def begin(self, k: int, y: FloatArray, measured: FloatArray) -> None:
         """Begin row k, whose controller has not decided yet."""
         self.y[k], self.measured[k] = y, measured
-        self.u[k] = self.applied[k] = self.solve_time[k] = np.nan
+        self.u[k] = self.solve_time[k] = np.nan
+        if self.applied.size:
+            self.applied[k] = np.nan
         self._status[k] = self._texts[_FAILED]
         self._numbers_of[_ROWS] = k + 1
 
@@ -192,7 +194,8 @@ class RowStore:
         if status not in self._texts:
             self._add(status)
         self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
-        self.applied[k] = applied
+        if self.applied.size:
+            self.applied[k] = applied
 
     def take(self, begin: int, end: int, statuses: Sequence[str]) -> None:
         """Complete rows that have been filled in: from ``begin`` up to and without ``end``."""

@@ -66,7 +66,8 @@ def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = F
     listed = list(known)
     if name is None:
         if only and len(listed) > 1:
-            raise ConfigError(f"the study has several {what}s: choose one by --{what}: {', '.join(listed)}")
+            by = f"by {what}, --{what} of a command"
+            raise ConfigError(f"the study has several {what}s: choose one {by}: {', '.join(listed)}")
         return listed[0]
     if name not in listed:
         raise ConfigError(f'the study has no {what} "{name}"; {did_you_mean(name, listed)}')

@@ -157,7 +157,7 @@ def test_files_that_are_no_policy(tmp_path: Path) -> None:
     assert len(faults) == 7
 
 
-def test_a_file_leads_to_no_other_file(tmp_path: Path) -> None:
+def test_a_file_leads_to_no_other_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights beside it would be part of no case's id."""
     import onnx
 
@@ -166,8 +166,32 @@ def test_a_file_leads_to_no_other_file(tmp_path: Path) -> None:
         onnx.load(file), file, save_as_external_data=True, location="weights.bin", size_threshold=0
     )
     assert (tmp_path / "weights.bin").stat().st_size == 3200
-    with pytest.raises(ConfigError, match=r"law\.onnx: ONNX Runtime cannot load it"):
-        Policy(file=str(file))
+    for folder in (Path(__file__).parent, tmp_path):  # in the files' own folder, too
+        monkeypatch.chdir(folder)
+        with pytest.raises(ConfigError, match=r"law\.onnx: .* in another file; needed: one file"):
+            Policy(file=str(file))
+
+
+def test_how_it_was_trained_is_said_in_full(tmp_path: Path) -> None:
+    file = str(write_linear_law(tmp_path / "law.onnx", GAIN))
+    with pytest.raises(ConfigError, match="training = 3 is not possible; needed: a Training"):
+        Policy(file=file, training=3)  # type: ignore[arg-type]
+    settings = f"settings.file = {file!r}\nsettings.training = {{ steps = 3 }}"
+    path = write(
+        tmp_path, f"{study_text(controllers=[])}\n[controllers.learned]\ntype = 'policy'\n{settings}"
+    )
+    with pytest.raises(ConfigError, match=r"training: a Training needs seeds, by too"):
+        cases_in(path)
+
+
+def test_a_file_of_any_size_says_what_it_was_given(run: Callable[..., Trace], tmp_path: Path) -> None:
+    nodes = [helper.make_node("MatMul", ["x", "gain"], ["u"])]
+    inputs, outputs = [value("x", TensorProto.DOUBLE, ["n"])], [value("u", TensorProto.DOUBLE, ["m"])]
+    file = write_onnx(tmp_path / "any.onnx", nodes, inputs, outputs, {"gain": np.ones((7, 1))})
+    trace = run(Policy(file=str(file), horizon=0))
+    assert trace.outcome is Outcome.CONTROLLER_ERROR
+    names = "angle [rad], angular_velocity [rad/s], setpoint.angle [rad]"
+    assert f"it was given 3 numbers: {names}" in trace.reason
 
 
 def test_what_is_no_number_ends_the_run(run: Callable[..., Trace], tmp_path: Path) -> None:

@@ -260,6 +260,10 @@ def test_a_saved_state_is_gone_on_from() -> None:
     env.reset(options={"state": saved})
     env.step(actions[8])
     assert env.save_state().resumption.samples == 9
+    shorter = of(replace(problem, duration=0.8))
+    with pytest.raises(ConfigError, match=r"it is of sample 8; an episode of this problem ends at sample 8"):
+        shorter.reset(options={"state": saved})
+    shorter.close()
     env.close()
 
 
@@ -338,7 +342,19 @@ def test_what_cannot_be_is_said() -> None:
     with pytest.raises(ConfigError, match=r"weights: no metric \"mony\"; did you mean") as error:
         of(house(), weights={"mony": 1.0, "mean_abs_error.room": 2.0})
     assert len(error.value.faults) == 2
+    for horizon in (-1, 21, 2.5, "3", True):
+        with pytest.raises(ConfigError, match=r"horizon = .*; allowed: an integer from 0 to 20"):
+            of(disturbed(), horizon=horizon)
+    for weight in (np.nan, "x", None, True):
+        with pytest.raises(ConfigError, match=r"weights: mean_abs_error = .*; allowed: a finite number"):
+            of(disturbed(), weights={"mean_abs_error": weight})
+    with pytest.raises(ConfigError, match=r"weights = \[1\]; needed: numbers by metric"):
+        of(disturbed(), weights=[1])
+    with pytest.raises(ConfigError, match="isolated = 'maybe' is not possible"):
+        of(disturbed(), isolated="maybe")
     env = of(disturbed())
+    with pytest.raises(ConfigError, match=r"options = \['state'\]; needed: a dict"):
+        env.reset(options=["state"])  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="call reset"):
         env.step(np.zeros(1))
     with pytest.raises(ConfigError, match='options: "stat" is unknown'):

@@ -378,6 +378,18 @@ def test_submissions_to_two_benchmarks_have_no_leaderboard(submission: Path, ent
         leaderboard([entered, submission])
 
 
+def test_what_has_nothing_to_tune_is_entered_as_it_is(entered: Path, tmp_path: Path) -> None:
+    path = write(tmp_path, MINE.replace(", search=Log(0.1, 10.0)", ""), "plain.py")
+    base = ("--study", entered.parent / "small.toml", "--jobs", "1", "--no-report")
+    done = benchmark("enter", f"{path}:MyGain", *base, "--out", tmp_path / "entry")
+    assert done.exit_code == 0, done.output
+    assert not (tmp_path / "entry" / "trials.csv").exists()
+    # The folder is this submission's: another one does not mix its runs with those.
+    done = benchmark("enter", "pid", *base, "--out", tmp_path / "entry")
+    assert done.exit_code == 2
+    assert "entry is another submission, of my-gain on" in done.output
+
+
 def test_what_cannot_be_entered_is_told(entered: Path, tmp_path: Path) -> None:
     base = ("--study", entered.parent / "small.toml", "--out", tmp_path / "entry")
     for target, words in (

@@ -238,7 +238,7 @@ type = "idle"
     command = ["export-controller", "several.toml", "--controller", "idle"]
     refused = CliRunner().invoke(main, command)
     assert refused.exit_code == 2
-    assert "several problems: choose one by --problem: one, other" in refused.stderr
+    assert "several problems: choose one by problem, --problem of a command: one, other" in refused.stderr
     result = CliRunner().invoke(main, [*command, "--problem", "other"])
     assert result.exit_code == 0, result.output
     assert facts_of(Path("idle.fmu"))["problem"] == "other"

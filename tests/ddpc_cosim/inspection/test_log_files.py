@@ -70,6 +70,37 @@ def test_an_empty_cell_is_counted_and_costs_its_row_alone(tmp_path: Path) -> Non
     assert data["relations"]["samples"] > 300
 
 
+def test_what_is_no_table_of_samples_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,u,y\n", encoding="utf-8")
+    result = inspected(path, "--input", "u", "--output", "y")
+    assert (result.exit_code, result.stderr.splitlines()[-1]) == (
+        2,
+        "error: log.csv: has no rows; needed: a header and one row per sample",
+    )
+    rows = "\n".join(f"{k},{k % 7},{k % 5},{k % 3}" for k in range(50))
+    path.write_text(f"time,u,y,y\n{rows}\n", encoding="utf-8")
+    result = inspected(path, "--input", "u", "--output", "y")
+    assert result.exit_code == 2
+    assert 'log.csv: several columns are called "y"; rename all but one' in result.stderr
+
+
+def test_times_that_run_backwards_are_the_reason(tmp_path: Path) -> None:
+    lines = written(tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([lines[0], *lines[:0:-1]]) + "\n", encoding="utf-8")
+    result = inspected(tmp_path / "log.csv", "--input", "valve", "--output", "level")
+    assert "499 of its 500 rows are earlier than the row before" in result.stdout.splitlines()[0]
+    assert "nan" not in result.stdout
+
+
+def test_one_row_says_nothing_absurd(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,u,y\n0,1,2\n", encoding="utf-8")
+    result = inspected(tmp_path / "log.csv", "--input", "u", "--output", "y")
+    assert result.exit_code == 1
+    assert "nan" not in result.stdout
+    assert "at least 0 samples" not in result.stdout
+
+
 def test_the_page_says_the_verdict_and_needs_no_network(tmp_path: Path) -> None:
     page = tmp_path / "log.html"
     inspected(written(tmp_path / "<b>log.csv"), "--html", page)

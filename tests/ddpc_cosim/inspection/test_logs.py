@@ -272,14 +272,15 @@ def test_good_up_to_ends_where_the_error_passes_half_a_deviation_or_holding_is_a
 def test_a_method_that_fails_says_why_and_one_that_does_not_predict_is_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from ddpc_controllers import MFAPC, SPC
+    from ddpc_controllers import MFAPC, SPC, Policy
 
     class Broken(SPC):
         def prediction_errors(self, recording: Recording) -> FloatArray:
             raise ZeroDivisionError("no")
 
     found = [Plugin("broken", "", "", Broken), Plugin("mfapc", "", "", MFAPC), Plugin("spc", "", "", SPC)]
-    found += [Plugin("other", "", "", Falling)]
+    # One whose predictions are those of a file that is not known.
+    found += [Plugin("other", "", "", Falling), Plugin("policy", "", "", Policy)]
     monkeypatch.setattr(of_methods, "installed", lambda kind: found)
     tested = predictions(recorded(*simulated(0)), 5, 3)
     assert [(method.name, method.reason) for method in tested.methods] == [
