@@ -162,7 +162,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 - as its base class has it
     # Of the episode: who acts, its case, the question that is to be answered, its sample, what samples cost.
-    _agent: "_Agent"
+    _agent: "Agent"
     _begun: Case
     _question: Question
     _k: int
@@ -335,7 +335,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._end_run()
         if not (case.plant.is_fmu or case.plant.coupled):  # what others write is made anew for each run
             self._close_plant()
-        self._agent, self._k, self._begun = _Agent(self._horizon), 0, case
+        self._agent, self._k, self._begun = Agent(self._horizon), 0, case
         try:
             self._plant = self._plant or open_plant(case)
             store = row_store(case)
@@ -364,7 +364,7 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
                 close_plant(plant)
 
 
-class _Agent(Controller):
+class Agent(Controller):
     """Stands for whoever acts in the environment.
 
     Parameters

@@ -69,6 +69,8 @@ class Price(Section):
         """
         what = f"emissions of {name}"
         price = _values(Variable(f"price {name}", self.unit), self.price, f"price {name}", time)
+        if self.emissions == 0.0:  # in whatever unit
+            return price, np.zeros_like(price)
         emission = _values(Variable(what, self.emissions_unit), self.emissions, what, time)
         try:
             in_kilograms = display_unit(self.emissions_unit, f"kg/{self.amount}").factor

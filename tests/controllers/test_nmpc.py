@@ -145,7 +145,7 @@ def test_what_is_cheapest_lies_at_the_limit_of_an_output_and_is_an_optimum_to_th
     heat += cstr.REACTION_HEAT * cstr.VOLUME * rate * concentration
     outputs = ["temperature", "concentration"]
     per = "mol.min/L"
-    reactant = Price(signal="concentration", price=5.0, unit=f"EUR/{per}", emissions_unit=f"kg/{per}")
+    reactant = Price(signal="concentration", price=5.0, unit=f"EUR/{per}")
     with FMUPlant(
         build_fmu(cstr.MODEL), inputs=["coolant_temperature"], outputs=outputs, isolated=False
     ) as plant:

@@ -234,7 +234,7 @@ def all_failed(cases: Iterable[CaseResult]) -> str:
         return ""
     ended = [case for case in everything if case.outcome is Outcome.COMPLETED]
     if not ended:
-        return "Every controller fails: no run completes"
+        return "Every controller fails: none completes a run"
     best = min(ended, key=_left_first)
     return f"Every controller fails; in the best run, {best.failure}"
 

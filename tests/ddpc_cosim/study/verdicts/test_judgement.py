@@ -90,7 +90,7 @@ def test_that_none_settles_is_said_where_it_is_true(cases: list[CaseResult], sen
     ("cases", "sentence"),
     [
         ([CRASHED, case("b", 60.0)], ""),
-        ([CRASHED, case("b", outcome=Outcome.DIVERGED)], "Every controller fails: no run completes"),
+        ([CRASHED, case("b", outcome=Outcome.DIVERGED)], "Every controller fails: none completes a run"),
         (
             [CRASHED, case("b", 95.0, failure="far"), case("b", 90.0, failure=FAR)],
             f"Every controller fails; in the best run, {FAR}",
