@@ -2,9 +2,10 @@
 
 They are those of the study `benchmark` under measurement noise, in the recording and in the loop, and those
 of `reactor` and `mimo` with as much. Every seed has its own recording. The figures are those by which the
-studies rank, one of each output. A problem is worse if more of its runs fail, if the paired differences tell
-it of an output, or if an output's median is worse by more than the smallest difference that matters. Problems
-that both tunings fail on throughout do not count.
+studies rank, one of each output. A problem is worse if more of its runs fail; if as many fail, where the
+paired differences tell it of an output, or an output's median is worse by more than the smallest difference
+that matters. Failures come first, as in every ranking: runs that both complete are the easier ones of whoever
+fails more. Problems that both tunings fail on throughout do not count.
 
     python -m benchmarks.virtual_reference --seeds 12
 """
@@ -66,7 +67,8 @@ def figures(findings: Findings) -> Iterator[Figure]:
         shared = [run for run, value in pairs[0].items() if math.isfinite(value + pairs[1][run])]
         tuned, base = (median(runs[run] for run in shared) for runs in pairs)
         told = compared.verdict == Verdict.WORSE or tuned - base > standings.relevant_differences[key]
-        yield Figure(key, tuned / base, compared.verdict, told or failed[TUNED] > failed[BASELINE])
+        more = failed[TUNED] - failed[BASELINE]
+        yield Figure(key, tuned / base, compared.verdict, more > 0 or (told and more == 0))
 
 
 def main() -> bool:
