@@ -261,7 +261,7 @@ def test_seams_and_what_is_joined_are_checked() -> None:
             Recording(rows, rows, rows, 0.1, seams)
     with pytest.raises(DataError, match=r"different sampling times: .*0\.1, 0\.2"):
         Recording.join([Recording(rows, rows, rows, 0.1), Recording(rows, rows, rows, 0.2)])
-    with pytest.raises(DataError, match=r"\(1, 1, 1, 0\), \(1, 1, 2, 0\)"):
+    with pytest.raises(DataError, match=r"\(1, 1, 1, 0, 0\), \(1, 1, 2, 0, 0\)"):
         Recording.join([Recording(rows, rows, rows, 0.1), FIRST])
     with pytest.raises(DataError, match="none to join"):
         Recording.join([])
