@@ -12,6 +12,7 @@ from studies import run_file
 from ddpc_cosim import ConfigError, Study
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.studies import __file__ as built_in
+from ddpc_cosim.study.file_format.study_files import absolute_paths
 from ddpc_cosim.study.reading import read_file, read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.runner import Selection, selected_cases
@@ -132,7 +133,8 @@ def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: P
 @pytest.mark.parametrize("path", sorted(Path(built_in).parent.glob("*.toml")), ids=lambda path: path.stem)
 def test_a_file_that_says_nothing_is_the_built_in_study(tmp_path: Path, path: Path) -> None:
     (tmp_path / "same.toml").write_text(f'extends = "{path.stem}"', encoding="utf-8")
-    tables, theirs = read_file(str(tmp_path / "same.toml")).tables, tomllib.loads(path.read_text("utf-8"))
+    tables = read_file(str(tmp_path / "same.toml")).tables
+    theirs = absolute_paths(tomllib.loads(path.read_text("utf-8")), path.parent)
     for key in ("name", "title", "summary"):
         theirs.pop(key, None)
     theirs.get("report", {}).pop("reproduction", None)
