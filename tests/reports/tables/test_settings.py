@@ -189,6 +189,7 @@ CONTENT: dict[str, Any] = {
         "start_time": -20.0,
         "file": ["monday.csv", "tuesday.csv"],
         "columns": {"angle": "Angle"},
+        "excitation_columns": ["added"],
         "time_column": "t",
         "time_tolerance": 0.25,
         "dates": "excel",
