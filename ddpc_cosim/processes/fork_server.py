@@ -324,6 +324,7 @@ class Server:
         try:
             os.setsid()
             _die_with(server)
+            _leave_at_once()
             _adopt_orphans()  # while it lives; then they are the server's
             self._selector.close()
             self._control.close()
@@ -448,3 +449,12 @@ def _die_with(server: int) -> None:
         this_process().prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != server:
             os._exit(LEFT_BEHIND)
+
+
+def _leave_at_once() -> None:
+    """Have C's ``exit``, which an FMU may call, end this process without what libraries do then (glibc).
+
+    They may wait for threads of theirs, which were not forked along.
+    """
+    with contextlib.suppress(AttributeError):
+        this_process().on_exit(this_process()._exit, None)

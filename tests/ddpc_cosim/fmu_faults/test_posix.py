@@ -1,5 +1,6 @@
 """What holds where there are permissions, forks and signals."""
 
+import ctypes
 import importlib
 import json
 import os
@@ -83,7 +84,7 @@ class TestTheServer:
 
 
 WORKER_SIDE = """
-import json, os, signal, subprocess, sys
+import ctypes, json, os, signal, subprocess, sys
 from ddpc_cosim.processes.worker import reply
 
 def leave_a_process(channel):
@@ -103,6 +104,13 @@ def leave_a_copy(channel, in_own_session, dies):
         os._exit(3)
     signal.pause()
 
+def hang_at_exit():
+    libc = ctypes.CDLL(None)
+    libc.on_exit(libc.pause, None)
+
+def call_exit(channel):
+    ctypes.CDLL(None).exit(3)
+
 def tell_path(channel):
     reply(channel, lambda: [json.__file__, sys.path])
 """
@@ -115,6 +123,16 @@ def worker_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(tmp_path)
     yield importlib.import_module("worker_side")
     del sys.modules["worker_side"]
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "on_exit"), reason="of glibc alone")
+def test_what_libraries_do_at_the_end_does_not_keep_a_worker(worker_side: Any, tmp_path: Path) -> None:
+    """Such as waiting for threads: those of the process that it was forked from are not there."""
+    preload = ["worker_side:hang_at_exit"]
+    worker = Worker(worker_side.call_exit, folder=tmp_path, preload=preload, alone=True)
+    with pytest.raises(EOFError):
+        worker.channel.receive(1, seconds=60.0)
+    assert worker.end().code == 3
 
 
 @pytest.mark.parametrize("how", ["ended", "died"])
