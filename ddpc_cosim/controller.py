@@ -268,8 +268,8 @@ class Recording:
     def digest(self) -> str:
         """A hash of its content: SHA-256, in hexadecimal digits."""
         content = hashlib.sha256(repr((self.seams, self.sampling_time)).encode())
-        told = (table for table in (self.d, self.excitation) if table.size)
-        for array in (self.u, self.y, self.measured, *told):
+        further = (table for table in (self.d, self.excitation) if table.size)
+        for array in (self.u, self.y, self.measured, *further):
             content.update(repr(array.shape).encode() + array.tobytes())
         return content.hexdigest()
 

@@ -33,9 +33,9 @@ class Method(NamedTuple):
 
 def table(name: str) -> list[list[str]]:
     """Return the cells of a table of the page, its head first."""
-    found = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)
-    assert found, name
-    lines = [line for line in found[1].splitlines() if not line.startswith("|---")]
+    match = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)
+    assert match, name
+    lines = [line for line in match[1].splitlines() if not line.startswith("|---")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 

@@ -15,7 +15,7 @@ from ddpc_controllers.data.instruments import predict_all_at_once, predict_from_
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
 from ddpc_cosim.settings import declared_settings
 
-from .loops import LinearPlant, before, close_loop, experiment, make_loop
+from .loops import LinearPlant, Run, before, close_loop, experiment, make_loop
 
 PAST, HORIZON, Q, R = 4, 6, 10.0, 0.5
 REGULATION: dict[str, Any] = {
@@ -26,6 +26,8 @@ REGULATION: dict[str, Any] = {
     "input_weight": R,
 }
 PLANT = LinearPlant(np.array([[1.1, 0.3], [-0.4, 0.6]]), np.array([[0.5], [1.0]]), np.array([[1.0, 0.2]]))
+PLANTS = {1: PLANT, 2: LinearPlant(PLANT.a, np.array([[0.5, 0.1], [1.0, -0.6]]), np.eye(2) + 0.1)}
+"""By the number of inputs, and of outputs."""
 
 
 def recorded_in_closed_loop(
@@ -46,6 +48,24 @@ def recorded_in_closed_loop(
         u[k] = -gain * np.resize(y[k], m) + w[k]
         x = plant.advance(x, u[k])
     return Recording(u, y, y, 0.1, excitation=w)
+
+
+def regulated(
+    method: type[DeePC | SPC],
+    instruments: str,
+    plant: LinearPlant,
+    recording: Recording,
+    current: bool,
+    limit: float,
+) -> Run:
+    """Close the loop of a method that meets its past exactly, on steps of all outputs."""
+    (p, _), m = plant.c.shape, plant.b.shape[1]
+    settings: dict[str, Any] = REGULATION | {"use_current_output": current, "instruments": instruments}
+    if method is DeePC:
+        settings["slack"] = False
+    reference = np.repeat([[0.0, 0.2], [1.0, -0.3]], 12, axis=0)[:, :p]
+    loop = make_loop(recording, np.full(m, limit), np.full(p, np.inf))
+    return close_loop(method(**settings), loop, plant.advance, plant.c, reference, 18)
 
 
 def quadratic_optimum(
@@ -104,8 +124,7 @@ def test_closed_loop_instruments_are_the_printed_problem(
     nothing is applied one after the other.
     """
     m, p = inputs, outputs
-    plant = PLANT if m == 1 else LinearPlant(PLANT.a, np.array([[0.5, 0.1], [1.0, -0.6]]), np.eye(2) + 0.1)
-    recording, known = recorded_in_closed_loop(300, plant=plant), PAST + current
+    plant, recording, known = PLANTS[m], recorded_in_closed_loop(300, plant=PLANTS[m]), PAST + current
     u, y = hankel_matrix(recording.u[:-1], known), hankel_matrix(recording.y, known + 1)
     z = np.vstack([u, y[: known * p]])
     of_g = np.vstack([z, y[known * p :]]) @ z.T / z.shape[1]
@@ -134,12 +153,7 @@ def test_closed_loop_instruments_are_the_printed_problem(
                     given.append((row, "y", column + i, channel))
     select = np.eye(size)
     cost = np.vstack([Q**0.5 * select[y_at:], R**0.5 * select[u_at:y_at]])
-    settings: dict[str, Any] = REGULATION | {"use_current_output": current, "instruments": "closed-loop"}
-    if method is DeePC:
-        settings["slack"] = False
-    reference = np.repeat([[0.0, 0.2], [1.0, -0.3]], 12, axis=0)[:, :p]
-    loop = make_loop(recording, np.full(m, limit), np.full(p, np.inf))
-    run = close_loop(method(**settings), loop, plant.advance, plant.c, reference, 18)
+    run = regulated(method, "closed-loop", plant, recording, current, limit)
     for k, sample in enumerate(run.samples):
         past = {
             "u": before(run.u, np.zeros(m), k, PAST),
@@ -162,8 +176,7 @@ def test_excitation_instruments_are_two_stage_least_squares_and_a_recursion(
 ) -> None:
     """Both stages written out with projections; the recursion is solved with the plan, not beforehand."""
     m, p = inputs, outputs
-    plant = PLANT if m == 1 else LinearPlant(PLANT.a, np.array([[0.5, 0.1], [1.0, -0.6]]), np.eye(2) + 0.1)
-    recording, known = recorded_in_closed_loop(300, plant=plant), PAST + current
+    plant, recording, known = PLANTS[m], recorded_in_closed_loop(300, plant=PLANTS[m]), PAST + current
     back = 2 * known * (m + p) // m
     rows = range(back, len(recording))
     z = np.array([[*recording.excitation[k - back : k].ravel(), 1.0] for k in rows])
@@ -174,12 +187,7 @@ def test_excitation_instruments_are_two_stage_least_squares_and_a_recursion(
     size, y_at = HORIZON * (m + p), HORIZON * m
     select = np.eye(size)
     cost = np.vstack([Q**0.5 * select[y_at:], R**0.5 * select[:y_at]])
-    settings: dict[str, Any] = REGULATION | {"use_current_output": current, "instruments": "excitation"}
-    if method is DeePC:
-        settings["slack"] = False
-    reference = np.repeat([[0.0, 0.2], [1.0, -0.3]], 12, axis=0)[:, :p]
-    loop = make_loop(recording, np.full(m, limit), np.full(p, np.inf))
-    run = close_loop(method(**settings), loop, plant.advance, plant.c, reference, 18)
+    run = regulated(method, "excitation", plant, recording, current, limit)
     for k, sample in enumerate(run.samples):
         u_ini, y_ini = before(run.u, np.zeros(m), k, PAST), before(run.y, run.y[0], k + current, known)
         equal, to = np.zeros((HORIZON * p, size)), np.zeros(HORIZON * p)

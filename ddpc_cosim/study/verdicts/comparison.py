@@ -31,8 +31,8 @@ class Comparison(pd.DataFrame):
         return pd.DataFrame
 
     def _table(self) -> Table:
-        one = self["problem"].nunique() < 2
-        columns = [name for name in _FIRST if not (one and name == "problem")]
+        is_flat = self["problem"].nunique() < 2
+        columns = [name for name in _FIRST if not (is_flat and name == "problem")]
         rows = pd.DataFrame(self)[columns].itertuples(index=False, name=None)
         return plain_table(self.title, [_HEADINGS.get(name, name) for name in columns], rows)
 
