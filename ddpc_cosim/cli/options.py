@@ -196,6 +196,8 @@ LIBRARY_PATH = option(
     type=PathType(exists=True),
     metavar="PATH",
 )
+Engine = Literal["python", "compiled"] | None
+ENGINE = option(None, "What computes the samples [as the study says]; compiled: C code where there is some.")
 NO_REPORT = option(False, "Write no report.")
 OPEN = option(False, "Open the report in a browser.", name="--open")
 JSON = option(False, "Machine-readable output (JSON).", name="--json")

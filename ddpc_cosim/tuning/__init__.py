@@ -199,7 +199,7 @@ def tune_study(
         Nothing can be tuned, or not so: all reasons; or the folder is that of another study.
     """
     request = request.on_seeds_of_its_own(resolved.head.seeds)
-    searches, kept = _searches(resolved, request)
+    searches, kept = _searches(resolved, request, selection.engine)
     with demanded(selection.sandboxed):
         plants = built_plants(resolved.problems, progress)
     if request.compares:
@@ -262,7 +262,7 @@ def tune_study(
 
 
 def _searches(
-    resolved: ResolvedProblems, request: Request
+    resolved: ResolvedProblems, request: Request, engine: str
 ) -> tuple[list[SettingsSearch], list[tuple[str, str]]]:
     """Return what to search, and what is left as it is; all errors at once."""
     searches, kept, faults = [], list[tuple[str, str]](), list[str]()
@@ -272,7 +272,7 @@ def _searches(
             faults.append(f"sweep: {_NO_SWEEPS}")
         for objective in request.objectives:
             try:
-                objective.check(resolved_study)
+                objective.check(resolved_study, engine or resolved_study.study.loop.engine)
             except ConfigError as error:
                 faults += error.faults
         for name, section in resolved_study.study.controllers.items():

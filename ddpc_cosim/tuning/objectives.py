@@ -11,7 +11,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import all_metrics, split_key
-from ddpc_cosim.responses import Actuation, Response
+from ddpc_cosim.responses import Actuation, Response, StepTimes
 from ddpc_cosim.signals.signals import Band
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -77,11 +77,14 @@ class Objective:
             "worst of all runs" if over == "worst" else f"{over} over the seeds, mean over the scenarios"
         )
 
-    def check(self, resolved: ResolvedStudy) -> None:
-        """Raise a ConfigError if a problem does not have such a figure."""
+    def check(self, resolved: ResolvedStudy, engine: str) -> None:
+        """Raise a ConfigError if a problem, whose samples an engine computes, does not have such a figure."""
         if self.metric == PREDICTION:
             return
         metric = all_metrics()[self.metric]
+        if metric.of is StepTimes and engine == "compiled":
+            what = "a compiled loop has no times of steps"
+            raise ConfigError(f"--objective {self.metric}: {what}; use --engine python")
         variables = {Response: resolved.outputs, Actuation: resolved.inputs}.get(metric.of, ())
         known = [variable.name for variable in variables]
         if self.signal and self.signal not in known:

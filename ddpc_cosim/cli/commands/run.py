@@ -25,9 +25,7 @@ def run(
     storage: Literal["csv", "parquet"] = option(
         "csv", "File of each case's samples [csv]; parquet needs pyarrow."
     ),
-    engine: Literal["python", "compiled"] | None = option(
-        None, "What computes the samples [as the study says]; compiled: C code where there is some."
-    ),
+    engine: options.Engine = options.ENGINE,
     keep_files: bool = option(False, "Keep what each case leaves in its working directory."),
     dry_run: bool = option(False, "Only say how many cases, how long, how many bytes."),
     sandbox: bool = options.SANDBOX,

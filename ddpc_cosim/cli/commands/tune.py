@@ -43,6 +43,7 @@ def tune(
     no_comparison: bool = option(False, "Do not compare given and found settings on the study's seeds."),
     executor: options.Executor = options.EXECUTOR,
     scheduler: str = options.SCHEDULER,
+    engine: options.Engine = options.ENGINE,
     sandbox: bool = options.SANDBOX,
     no_report: bool = options.NO_REPORT,
 ) -> int:
@@ -69,7 +70,12 @@ def tune(
         not no_comparison,
     )
     selection = Selection(
-        jobs or os.cpu_count() or 1, only=only, sandboxed=sandbox, executor=executor, scheduler=scheduler
+        jobs or os.cpu_count() or 1,
+        only=only,
+        sandboxed=sandbox,
+        executor=executor,
+        scheduler=scheduler,
+        engine=engine or "",
     )
     with shown(f"reading {study}") as progress, warnings_in_one_line():
         resolved = read_study(study)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from studies import write
+from studies import study_text, write
 
 from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
@@ -198,6 +198,28 @@ def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch
     nothing = CliRunner().invoke(main, ["tune", "study.toml", "--only", "c", "--out", "other"])
     assert nothing.exit_code == 2
     assert "--only c: no case matches" in nothing.stderr
+
+
+def test_trials_in_compiled_loops_find_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = study_text(name="pendulum")
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, study)
+    found, engines = [], []
+    for engine in ("python", "compiled"):
+        said = ["tune", "study.toml", "--trials", "4", "--no-comparison", "--engine", engine, "--out", engine]
+        done = CliRunner().invoke(main, said)
+        assert done.exit_code == 0, done.output
+        table = Path(engine, "trials.csv").read_text(encoding="utf-8")
+        found.append(list(csv.DictReader(io.StringIO(table))))
+        runs = [json.loads(path.read_text()) for path in Path(engine).glob("cases/*_mfapc_*/run.json")]
+        engines.append({run.get("engine", "python") for run in runs})
+    assert engines == [{"python"}, {"compiled"}]
+    assert len(found[0]) == 4
+    for trial, same in zip(*found, strict=True):
+        assert float(trial.pop("rmse, median over the seeds, mean over the scenarios")) == pytest.approx(
+            float(same.pop("rmse, median over the seeds, mean over the scenarios")), rel=1e-9
+        )
+        assert trial == same
 
 
 def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> None:
@@ -524,6 +546,9 @@ def test_what_the_study_does_not_allow_is_told(tmp_path: Path) -> None:
         tuned(tmp_path, request=Request(seeds=[0, 1]))
     with pytest.raises(ConfigError, match='rmse has no signal "x" in study'):
         tuned(tmp_path, request=Request((Objective.parse("rmse.x"),)))
+    in_c = STUDY.replace("duration = 1.0", 'duration = 1.0, engine = "compiled"')
+    with pytest.raises(ConfigError, match="solve_time_mean: a compiled loop has no times of steps; use"):
+        tuned(tmp_path, in_c, Request((Objective.parse("solve_time_mean"),)))
 
 
 @pytest.mark.parametrize(
