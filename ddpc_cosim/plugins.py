@@ -434,6 +434,7 @@ def folders_of(targets: Iterable[str]) -> list[str]:
 _CODE = (".py", *EXTENSION_SUFFIXES)
 
 
+@cache
 def package_version() -> str:
     """Return the installed version of ddpc-cosim."""
     return importlib.metadata.version("ddpc-cosim")
