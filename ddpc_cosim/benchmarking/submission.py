@@ -7,7 +7,10 @@
 ``submission.json``  the checksums of all of these
 """
 
+import csv
+import io
 import re
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -19,7 +22,7 @@ from ddpc_cosim.files.texts import toml_tables
 from ddpc_cosim.plugins import find_modules_in
 from ddpc_cosim.study.case_files import DAMAGED, checksum, read_sealed, sealed_json
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, Table, extended
-from ddpc_cosim.study.file_format.sections import expand_seeds
+from ddpc_cosim.study.file_format.sections import BandSection, Study, expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_file, resolve_file
@@ -34,7 +37,8 @@ from fmu_plants.spelling import did_you_mean
 
 ENTRY_FILE, SUBMISSION_FILE, RESULTS_FOLDER = "entry.toml", "submission.json", "results"
 _FORMAT = 1
-_OBJECTIVE = "mean_abs_error:mean"
+_ERRORS, _MONEY = ("mean_abs_error:mean",), ("money:mean", "band_violation:mean")
+"""What settings are searched by, and, where there is a price and a band, what is paid within the band."""
 # What a method may choose for itself. Limits, seeds and forecasts of its own would be other terms.
 _OF_METHOD = ("type", "label", "note", "settings", "search", "first_trials", "tuned", PROBLEMS)
 
@@ -231,22 +235,71 @@ def enter(
     if there and (Path(there.study).name, there.problems, there.name) != (Path(study).name, chosen, name):
         what = f"{there.name} on {', '.join(there.problems) or there.study}"
         raise ConfigError(f"{folder} is another submission, of {what}; choose another folder by --out")
+    is_new = not folder.exists()
     _begin(target, folder)
     entry = Entry(study, chosen, name, section)
-    resolved = entry.resolved(base, folder)
-    if name not in base.tables[CONTROLLERS] and _has_search(resolved, name):
-        beside = folder.with_name(f"{folder.name}-tuning")
-        budget = budget.completed(base.tables)
-        objectives = (Objective.parse(_OBJECTIVE),)
-        request = Request(objectives, budget.trials or 0, budget.seeds, command, compares=False)
-        tune_study(resolved, beside, request, replace(selection, only=(name,)), progress)
-        entry = replace(entry, controller=_tuned_section(beside / TUNED_FILE, name))
+    try:
         resolved = entry.resolved(base, folder)
-        write_atomically(folder / TRIALS_FILE, (beside / TRIALS_FILE).read_bytes())
+    except ConfigError:
+        if is_new:
+            shutil.rmtree(folder)
+        raise
+    if name not in base.tables[CONTROLLERS] and _has_search(resolved, name):
+        trials, seeds = budget.completed(base.tables)
+        request = Request(trials=trials or 0, seeds=seeds, command=command, compares=False)
+        entry, tried = _tuned(entry, base, folder, request, selection, progress)
+        resolved = entry.resolved(base, folder)
+        write_atomically(folder / TRIALS_FILE, tried)
     write_atomically(folder / ENTRY_FILE, entry.written())
     results = run_study(resolved, folder / RESULTS_FOLDER, selection, progress)
     seal(folder)
     return results
+
+
+def _tuned(
+    entry: Entry,
+    base: StudyFile,
+    folder: Path,
+    request: Request,
+    selection: Selection,
+    progress: TuningProgress,
+) -> tuple[Entry, bytes]:
+    """Return what is entered with the settings found, and what was tried.
+
+    Problems that are judged by the same figures are tuned together, in a folder beside the submission.
+    """
+    resolved = entry.resolved(base, folder)
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, problem in resolved.problems.items():
+        groups.setdefault(_objectives(problem.study), []).append(name)
+    controller, tried = entry.controller, list[dict[str, str]]()
+    for objectives, names in groups.items():
+        part = replace(entry, problems=tuple(names)) if entry.problems else entry
+        suffix = "-tuning" if objectives == _ERRORS else "-tuning-by-money"
+        beside = folder.with_name(folder.name + suffix)
+        asked = replace(request, objectives=tuple(map(Objective.parse, objectives)))
+        tune_study(
+            part.resolved(base, folder), beside, asked, replace(selection, only=(entry.name,)), progress
+        )
+        with (beside / TRIALS_FILE).open(encoding="utf-8", newline="") as file:
+            tried += csv.DictReader(file)
+        section = _tuned_section(beside / TUNED_FILE, entry.name)
+        if len(groups) == 1:
+            controller = section
+        else:
+            of_problems = section.pop(PROBLEMS, {})
+            found = {name: {"settings": {}} | section | of_problems.get(name, {}) for name in names}
+            controller = controller | {PROBLEMS: controller.get(PROBLEMS, {}) | found}
+    text = io.StringIO()
+    rows = csv.DictWriter(text, list(dict.fromkeys(key for row in tried for key in row)))
+    rows.writeheader()
+    rows.writerows(tried)
+    return replace(entry, controller=controller), text.getvalue().encode()
+
+
+def _objectives(study: Study) -> tuple[str, ...]:
+    bands = any(isinstance(wanted, BandSection) for wanted in (study.reference or {}).values())
+    return _MONEY if study.prices and bands else _ERRORS
 
 
 def _section_of(target: str, tables: Table, problems: Sequence[str]) -> tuple[str, Table]:

@@ -1,12 +1,15 @@
 """A submission is what its controller does, or is refused by the first thing in it that is not so."""
 
+import csv
 import shutil
+import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
 from click.testing import CliRunner, Result
 
 from ddpc_cosim import ConfigError, load_results
@@ -85,6 +88,37 @@ def entered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = benchmark("enter", f"{folder / 'mine.py'}:MyGain", *words)
     assert done.exit_code == 0, done.output
     return folder / "entry"
+
+
+def test_each_problem_is_tuned_by_what_it_is_judged_by(tmp_path: Path) -> None:
+    """Where there is a price and a band by money, elsewhere by the error; all is in one submission."""
+    study = tomllib.loads(study_text(controllers=CONTROLLERS, loop={"duration": 2.0}, **BASE))
+    shared = {key: study.pop(key) for key in ("plant", "loop", "bounds", "recording", "scenarios")}
+    followed = {"reference": {"angle": {"kind": "steps", "times": [0.0, 0.5], "values": [0.0, 0.2]}}}
+    paid = {
+        "reference": {"angle": {"band": {"lower": -0.1, "upper": 0.3}}},
+        "prices": {"work": {"signal": "torque", "price": 1.0, "unit": "EUR/N.m.s"}},
+    }
+    del study["reference"]
+    study["problems"] = {"followed": shared | followed, "paid": shared | paid}
+    write(tmp_path, tomli_w.dumps(study), "two.toml")
+    write(tmp_path, MINE, "mine.py")
+    words = ("--study", tmp_path / "two.toml", "--out", tmp_path / "entry", "--jobs", "1", "--no-report")
+    done = benchmark("enter", f"{tmp_path / 'mine.py'}:MyGain", *words)
+    assert done.exit_code in {0, 3}, done.output
+    problems = load_results(tmp_path / "entry" / "results").whole.problems
+    by = {name: problem.controllers["my-gain"].tuned for name, problem in problems.items()}
+    assert {name: how.by.split(",")[0] for name, how in by.items() if how} == {
+        "followed": "mean_abs_error",
+        "paid": "money",
+    }
+    with (tmp_path / "entry" / "trials.csv").open(encoding="utf-8", newline="") as file:
+        trials = [*csv.DictReader(file)]
+    assert [row["problem"] for row in trials] == ["followed"] * 2 + ["paid"] * 2
+    for metric, problem in (("mean_abs_error", "followed"), ("money", "paid"), ("band_violation", "paid")):
+        columns = [name for name in trials[0] if name.startswith(metric)]
+        assert columns
+        assert all((row[name] != "") == (row["problem"] == problem) for row in trials for name in columns)
 
 
 @pytest.fixture
@@ -401,5 +435,6 @@ def test_what_cannot_be_entered_is_told(entered: Path, tmp_path: Path) -> None:
         done = benchmark("enter", target, *base)
         assert done.exit_code == 2, done.output
         assert words in done.output
+        assert not (tmp_path / "entry").exists()
     done = benchmark("enter", "pid", "--problem", "x", *base)
     assert "--problem x: small.toml has no such one; it has one alone" in done.output
