@@ -55,6 +55,8 @@ _LIKELY_TIME = re.compile(
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
+_LARGEST = 1e150
+"""Numbers beyond are no measurements, as infinite ones are not: their squares are infinite."""
 _MEASURED = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+|(?=[%\u00b0]))([^\d\s]\S*)")
 _GROUPED = "thousands are separated there: export numbers without that"
 _TRUTHS = {"true": 1.0, "false": 0.0}
@@ -170,7 +172,7 @@ class _Numbers:
         """Take numbers that follow those before, NaN for none, and the decimal marks of their text."""
         for mark in marks:
             self.marks.setdefault(mark, self._rows)
-        for i in np.flatnonzero(np.isinf(values)).tolist():
+        for i in np.flatnonzero(np.abs(values) > _LARGEST).tolist():
             self.words[self._rows + i] = str(values[i])
             values[i] = np.nan
         self._filled += int(np.count_nonzero(~np.isnan(values)))
@@ -187,7 +189,8 @@ class _Numbers:
                     values = np.array([float(cell or "nan") for cell in cells])
         if values is None:
             values = np.array([number(cell) for cell in cells], dtype=np.float64)
-        wrong = np.flatnonzero(~np.isfinite(values)).tolist()
+        beyond = np.abs(values) > _LARGEST
+        wrong = np.flatnonzero(beyond | np.isnan(values)).tolist()
         values[wrong] = np.nan
         self._filled += len(cells) - len(wrong)
         for i in wrong:
@@ -197,7 +200,8 @@ class _Numbers:
                     values[i] = float(measured[1])
                     self.units.setdefault(measured[2], array("q")).append(self._rows + i)
                     continue
-                kind = self.odd if any(letter.isdigit() for letter in text) else self.words
+                is_odd = any(letter.isdigit() for letter in text) and not beyond[i]
+                kind = self.odd if is_odd else self.words
                 kind[self._rows + i] = text[:40]
         return values
 

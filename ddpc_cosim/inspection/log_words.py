@@ -186,7 +186,8 @@ def _reservations(evidence: Evidence) -> Iterator[str]:
                 "standard deviation"
             )
         if column.missing and not column.empty:
-            yield f"{signal} misses {column.missing} values, the first in row {column.first_missing + 1}"
+            values = f"{column.missing} value{'s' * (column.missing > 1)}"
+            yield f"{signal} misses {values}, the first in row {column.first_missing + 1}"
     sampling = evidence.sampling
     if sampling.gaps:
         yield (

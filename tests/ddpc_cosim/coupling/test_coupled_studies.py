@@ -355,18 +355,19 @@ def test_an_archive_in_a_study(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m(in|ax)imum value is")
 def test_an_archive_is_an_environment(tmp_path: Path) -> None:
-    """What acts there drives its connectors, and its parts step as in a study."""
-    part = component("a", "resources/gain.fmu", "input u, output y")
-    wires = connection("in", "a/u") + connection("a/y", "out")
-    described = ssd(system("s", part, connections=wires, connectors="input in, output out"))
-    write_ssp(tmp_path / "one.ssp", described, {"resources/gain.fmu": GAIN})
-    plant = {"ssp": "one.ssp", "outputs": ["out"], "parameters": {"a.k": 2.0}, "isolated": False}
+    """What acts there drives its connectors, and its parts, one behind the other, step as in a study."""
+    parts = [component(name, "resources/gain.fmu", "input u, output y") for name in "ab"]
+    wires = connection("in", "a/u") + connection("a/y", "b/u") + connection("b/y", "out")
+    described = ssd(system("s", *parts, connections=wires, connectors="input in, output out"))
+    write_ssp(tmp_path / "two.ssp", described, {"resources/gain.fmu": GAIN})
+    factors = {"a.k": 2.0, "b.k": -3.0, "b.b": 0.25}
+    plant = {"ssp": "two.ssp", "outputs": ["out"], "parameters": factors, "isolated": False}
     bounds = {"in": {"min": -1.0, "max": 1.0}}
     env = make_environment(write(tmp_path, study(plant, bounds=bounds)))
     check_env(env, skip_render_check=True)
     env.reset(seed=0)
     observation, *_ = env.step(np.array([0.5]))
-    np.testing.assert_allclose(observation[0], 1.0)
+    np.testing.assert_allclose(observation[0], -3.0 * (2.0 * 0.5) + 0.25)
     env.close()
 
 

@@ -488,6 +488,7 @@ def test_a_parquet_file_says_what_its_cells_say_as_text(
         "price": pyarrow.array([Decimal("1.25"), None, Decimal("2.50"), Decimal("3.75")]),
         "word": pyarrow.array(["1.5", "Bad", "2.5", "3.5"]),
         "limit": pyarrow.array([1.0, 2.0, np.inf, 3.0]),
+        "peak": pyarrow.array([1.0, -1e300, 2.0, 3.0]),  # as little measured
     }
     table = pyarrow.table({"time": times, **columns})
     pyarrow.parquet.write_table(table, tmp_path / "log.parquet")
