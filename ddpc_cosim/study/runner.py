@@ -33,9 +33,11 @@ from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.plugins import (
     FOLDER_VARIABLE,
     find_modules_in,
+    is_own,
     keep_values,
     load_plugin,
     study_folder,
+    types_in,
 )
 from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.fork_server import ForkServer
@@ -771,12 +773,14 @@ def _writable() -> Iterator[None]:
 
 
 def _plugin_modules(cases: Sequence[Case]) -> list[str]:
-    """Return the modules of the installed controllers, and their functions ``preload`` where they have one.
+    """Return the modules of controllers, and of what is in their settings; with ``preload`` if they have one.
 
-    Those beside a study may change between two runs.
+    Controllers that are installed, and what is of this project: modules beside a study may change between
+    two runs.
     """
-    installed = {kind for case in cases if (kind := case.section["type"]) and ":" not in kind}
-    modules = sorted({load_plugin("controllers", name).__module__ for name in installed})
+    named = {name for case in cases for name in types_in(case.section) if name}
+    lasting = [name for name in named if ":" not in name or is_own("controllers", name)]
+    modules = sorted({load_plugin("controllers", name).__module__ for name in lasting})
     return [f"{name}:preload" if hasattr(sys.modules[name], "preload") else name for name in modules]
 
 
