@@ -175,7 +175,7 @@ def column(values: Sequence[float], digits: int = 4) -> list[str]:
     more than six digits before the point, is written with a power of ten.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value != 0]
-    if all(size.is_integer() for size in sizes):
+    if all(float(size).is_integer() for size in sizes):
         return align([_in_column(value, 0) for value in values])
     typical, least = digits - 1 - _exponent(median(sizes)), 1 - _exponent(min(sizes))
     largest = max((size for size in sizes if size < _LARGEST_PLAIN), default=1.0)

@@ -140,3 +140,5 @@ def test_all_numbers_of_a_column_have_the_same_decimals(values: list[float]) -> 
 
 def test_counts_have_no_decimals() -> None:
     assert column([16.0, 200.0, 0.0]) == ["16", "200", "0"]
+    # A median of an odd number of counts is a whole number, and one of an even number is not of that type.
+    assert column([16, 200, 0.0]) == ["16", "200", "0"]

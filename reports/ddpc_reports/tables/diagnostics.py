@@ -196,4 +196,4 @@ def _other_words(runs: Sequence[Values]) -> Iterator[str]:
 
 
 def _written(value: float) -> str:
-    return integer(value) if value.is_integer() and abs(value) < 1e6 else significant(value, 3)
+    return integer(value) if float(value).is_integer() and abs(value) < 1e6 else significant(value, 3)
