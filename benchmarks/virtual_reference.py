@@ -1,8 +1,8 @@
 """PID tuned by a virtual reference against PID tuned by SIMC, from the same noisy recordings: ten problems.
 
-They are those of the study `benchmark` under measurement noise, in the recording and in the loop, and those
-of `reactor` and `mimo` with as much. Every seed has its own recording. The figures are those by which the
-studies rank, one of each output. A problem is worse if more of its runs fail; if as many fail, where the
+They are the first ten of the study `benchmark` under measurement noise, in the recording and in the loop, and
+those of `reactor` and `mimo` with as much. Every seed has its own recording. The figures are those by which
+the studies rank, one of each output. A problem is worse if more of its runs fail; if as many fail, where the
 paired differences tell it of an output, or an output's median is worse by more than the smallest difference
 that matters. Failures come first, as in every ranking: runs that both complete are the easier ones of whoever
 fails more. Problems that both tunings fail on throughout do not count.
@@ -33,6 +33,9 @@ report = false
 {{others}}
 {BASELINE} = {{{{ type = "pid", settings = {{{{ tuning = "{BASELINE}" }}}} }}}}
 {TUNED} = {{{{ type = "pid", settings = {{{{ tuning = "{TUNED}" }}}} }}}}
+
+[problems]
+{{left_out}}
 
 [problems.reactor]
 study = "reactor"
@@ -78,10 +81,12 @@ def main() -> bool:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scenario", default="noise")
     given = parser.parse_args()
-    others = "\n".join(f"{name} = false" for name in Study.read("benchmark").controllers)
+    benchmark = Study.read("benchmark")
+    others = "\n".join(f"{name} = false" for name in benchmark.controllers)
+    left_out = "\n".join(f"{name} = false" for name in [*benchmark.problems][PROBLEMS:])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "study.toml"
-        file.write_text(STUDY.format(others=others), encoding="utf-8")
+        file.write_text(STUDY.format(others=others, left_out=left_out), encoding="utf-8")
         found = (
             Study.read(file)
             .run(

@@ -5,7 +5,6 @@ from pathlib import Path
 _FOLDER = Path(__file__).parent
 
 benchmark = _FOLDER / "benchmark.toml"
-benchmark_2 = _FOLDER / "benchmark-2.toml"
 buildings = _FOLDER / "buildings.toml"
 claims = _FOLDER / "claims.toml"
 direction_change = _FOLDER / "direction-change.toml"

@@ -1,26 +1,57 @@
-"""Write the tables of benchmark.md from the results of the benchmark and the trials that led to its settings.
+"""Write the tables of benchmark.md and of methods/gpc.md from the results of the benchmark.
 
-Run ``python docs/scripts/benchmark_tables.py RESULTS TRIALS [TRIALS ...]``: the folder that ``ddpc-cosim run
-benchmark`` wrote, ``trials.csv`` of the tuning of all problems (if parts were tuned apart, several, joined by
-commas), and those of the tunings with another seed of the sampler. A table stands between
-``<!-- table: NAME -->`` and ``<!-- end -->``.
+Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...]``: the folder that ``ddpc-cosim run
+benchmark`` wrote and, where problems were tuned with another seed of the sampler too, ``trials.csv`` of the
+tuning (if parts were tuned apart, several, joined by commas) and those of the others. A table stands between
+``<!-- table: NAME -->`` and ``<!-- end -->``; without trials those of a second tuning stay as they are.
 """
 
 import csv
+import math
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 
+import numpy as np
 from scipy.stats import kendalltau
 
-from ddpc_cosim import load_results
+from ddpc_cosim import StudyResults, load_results
+from ddpc_cosim.metrics import headline
+from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.verdicts.statistics import median_interval
 from ddpc_reports.across_problems import Overall, overall
 from ddpc_reports.shares import interval_words, share_words
 
-PAGE = Path(__file__).parents[1] / "benchmark.md"
-_TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_OBJECTIVE = "mean_abs_error"
+DOCS = Path(__file__).parents[1]
+PAGES = (DOCS / "benchmark.md", DOCS / "methods" / "gpc.md")
+_TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+_OBJECTIVE, _MOST = "mean_abs_error", 10.0
+ADAPTATION = ("gpc", "mfapc", "deepc", "spc", "mpc", "pid")
+LEARNING = ("gpc", "mfapc", "deepc", "mpc")
+"""Whom the tables of the page on GPC show: in the last problems, and in the first ten."""
+EXACT = ("noise", "disturbance", "tight", "no-preview")
+"""Scenarios in which the plant of the first ten problems is the one recorded, but for nominal."""
+HARD = {
+    "unstable": ("van-der-pol", "cart-pendulum"),
+    "gain that varies": ("cstr", "ph-neutralisation"),
+    "friction": ("servo",),
+    "resonance": ("pendulum", "two-mass-drive"),
+    "dead time": ("distillation-column", "late-reflux"),
+    "right half-plane zero": ("non-minimum-phase-tanks",),
+    "two or three inputs": (
+        "distillation-column",
+        "quadruple-tank",
+        "boiler-turbine",
+        "from-a-log",
+        "two-zone-house",
+    ),
+    "weather nobody forecasts": ("building",),
+    "weather that is forecast": ("weather-forecast", "two-zone-house"),
+    "a limit that pays": ("limit-that-pays",),
+}
+"""What is hard about a problem; some are in two rows."""
 
 
 def rows(*cells: Sequence[str]) -> str:
@@ -29,12 +60,46 @@ def rows(*cells: Sequence[str]) -> str:
     return "\n".join([head, "|---" * len(cells[0]) + "|", *body]) + "\n"
 
 
-def methods(results: Overall) -> str:
-    """Return ranks, shares, failed runs and cost of each method, the best rank first."""
+def regrets(results: StudyResults, keys: Iterable[str]) -> dict[str, str]:
+    """Return by how much each method is worse than the best of the same problem, scenario, seed and output.
+
+    Medians over the runs of a problem, of which a failed one is infinitely worse, then over the problems.
+    """
+    shares = results.shares()
+    shares = shares[shares["metric"].str.startswith((_OBJECTIVE, "money"))]  # the best may be within its band
+    where = ["problem", "metric", "scenario", "seed"]
+    # A reactor that ignites, as it does at rest, wastes nothing: there is no way to go.
+    shares = shares[shares.groupby(where)["share"].transform("count") > 0]
+    best = shares[~shares["failed"]].groupby(where)["value"].min().rename("best")
+    runs = shares.join(best, on=where)
+    runs["regret"] = (runs["value"] / runs["best"] - 1.0).where(~runs["failed"], math.inf)
+    by_problem = runs.groupby(["controller", "problem"])["regret"].median()
+    words = {}
+    for key in keys:
+        values = np.minimum(by_problem[key].to_numpy(dtype=np.float64), _MOST)
+        low, high = median_interval(values)
+        words[key] = f"{100 * median(values):.0f} % [{100 * low:.0f} … {_most(high)}]"
+    return words
+
+
+def _most(regret: float) -> str:
+    return f"> {100 * _MOST:.0f}" if regret >= _MOST else f"{100 * regret:.0f}"
+
+
+def methods(results: Overall, regret: Mapping[str, str]) -> str:
+    """Return ranks, shares, regret, failed runs and cost of each method, the best rank first."""
     far = results.distances
     assert far is not None
     table = [
-        ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "needs data"]
+        [
+            "method",
+            "average rank",
+            "share of the way [95 % interval]",
+            "regret [95 % interval]",
+            "failed runs",
+            "step",
+            "needs data",
+        ]
     ]
     for key, controller in results.controllers.items():
         failed, runs = results.findings.failed[key]
@@ -45,6 +110,7 @@ def methods(results: Overall) -> str:
                 controller.label,
                 f"{results.findings.ranks.ranks[key]:.1f}",
                 f"{share_words(share)}{interval_words(share)}",
+                regret[key],
                 f"{failed} of {runs}",
                 f"{step:.0f} us",
                 f"{samples:.0f} samples" if samples else "nothing",
@@ -66,6 +132,19 @@ def problems(results: Overall) -> str:
     return rows(*table)
 
 
+def hard(results: Overall) -> str:
+    """Return the median share of each method in the problems that are hard in the same way."""
+    far = results.distances
+    assert far is not None
+    table = [["what is hard", *(controller.label for controller in results.controllers.values())]]
+    for what, names in HARD.items():
+        of_problems = {key: [far.problems[name][key].median for name in names] for key in results.controllers}
+        table.append(
+            [f"{what} ({len(names)})", *(f"{100 * median(of):.0f} %" for of in of_problems.values())]
+        )
+    return rows(*table)
+
+
 def kinds(results: Overall) -> str:
     """Return which kinds tuning chose for each method, and in how many problems."""
     shown = [
@@ -74,6 +153,62 @@ def kinds(results: Overall) -> str:
         if key in results.chosen
     ]
     return rows(["method", "chosen, and in how many of the problems"], *shown)
+
+
+def scenarios(results: Overall) -> str:
+    """Return the share of each method in each scenario, over the problems that have it."""
+    far = results.distances
+    assert far is not None
+    table = [["method", *far.scenarios]]
+    for key, controller in results.controllers.items():
+        table.append([controller.label, *(share_words(of[key]) for of in far.scenarios.values())])
+    return rows(*table)
+
+
+def ends(results: Overall, studies: Mapping[str, Study]) -> str:
+    """Return which settings were found at an end of where was looked."""
+    table = [["method", "settings within 3 % of an end (problem)"]]
+    for key, controller in results.controllers.items():
+        tuned = {name: study.controllers[key].tuned for name, study in studies.items()}
+        hit = [f"{', '.join(how.at_ends)} ({name})" for name, how in tuned.items() if how and how.at_ends]
+        if hit:
+            table.append([controller.label, "; ".join(hit)])
+    return rows(*table)
+
+
+def errors(
+    results: StudyResults,
+    labels: Mapping[str, str],
+    only: Sequence[str],
+    wanted: Sequence[str],
+    leave_out: Collection[str] = (),
+) -> str:
+    """Return medians of the first figure that a problem is ranked by, for some methods, problems, scenarios.
+
+    Failed runs are counted; where half of a method's runs failed it has no figure.
+    """
+    table = [["problem", "scenario", *(labels[key] for key in wanted)]]
+    for part in results.problems():
+        name, cases = part.study.name, part.cases
+        if name not in only:
+            continue
+        figure = headline(
+            dict.fromkeys(key for case in cases for key in case.metrics), part.study.metrics.ranking
+        )[0]
+        title = f"{name}: {figure.partition('.')[2] or figure}"
+        for scenario in part.study.scenarios:
+            if scenario in leave_out:
+                continue
+            cells = []
+            for key in wanted:
+                runs = [case for case in cases if (case.controller, case.scenario) == (key, scenario)]
+                values = [case.metrics[figure] for case in runs if not case.failed]
+                missed = len(runs) - len(values)
+                some = f", {missed} of {len(runs)} failed" if missed else ""
+                cells.append("failed" if 2 * missed >= len(runs) else f"{median(values):.3g}{some}")
+            table.append([title, scenario, *cells])
+            title = ""
+    return rows(*table)
 
 
 def chosen(paths: Iterable[Path]) -> dict[tuple[str, str], dict[str, str]]:
@@ -85,16 +220,6 @@ def chosen(paths: Iterable[Path]) -> dict[tuple[str, str], dict[str, str]]:
                 if row["chosen"] == "true":
                     settings[row["problem"], row["controller"]] = row
     return settings
-
-
-def ends(trials: dict[tuple[str, str], dict[str, str]]) -> str:
-    """Return which settings were found at an end of where was looked."""
-    hit: dict[str, list[str]] = {}
-    for (problem, controller), row in trials.items():
-        if row["at ends"]:
-            hit.setdefault(controller, []).append(f"{row['at ends']} ({problem})")
-    table = [["method", "settings within 3 % of an end (problem)"]]
-    return rows(*table, *([controller, "; ".join(settings)] for controller, settings in hit.items()))
 
 
 def order(trials: dict[tuple[str, str], dict[str, str]], problem: str) -> dict[str, tuple[float, float]]:
@@ -129,21 +254,29 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) 
     return rows(*table)
 
 
-def main(results: Path, first: str, *others: str) -> None:
+def main(folder: Path, first: str = "", *others: str) -> None:
     """Write the tables anew."""
-    across = overall(load_results(results).problems())
+    results = load_results(folder)
+    across = overall(results.problems())
     assert across is not None
-    trials = chosen(Path(path) for path in first.split(","))
+    studies = {part.study.name: part.study for part in results.problems()}
+    labels = {key: controller.label for key, controller in across.controllers.items()}
     tables = {
-        "methods": methods(across),
+        "methods": methods(across, regrets(results, labels)),
         "problems": problems(across),
+        "scenarios": scenarios(across),
+        "hard": hard(across),
         "kinds": kinds(across),
-        "ends": ends(trials),
-        "again": again(trials, map(Path, others)),
+        "ends": ends(across, studies),
+        "adaptation": errors(results, labels, [*studies][10:], ADAPTATION),
+        "learning": errors(results, labels, [*studies][:10], LEARNING, EXACT),
     }
-    text = PAGE.read_text(encoding="utf-8")
-    text = _TABLE.sub(lambda match: match[1] + tables[match[2]] + match[3], text)
-    PAGE.write_text(text, encoding="utf-8", newline="\n")
+    if first:
+        tables["again"] = again(chosen(Path(path) for path in first.split(",")), map(Path, others))
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        text = _TABLE.sub(lambda match: match[1] + tables.get(match[2], match[3]) + match[4], text)
+        page.write_text(text, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

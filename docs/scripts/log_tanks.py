@@ -1,4 +1,4 @@
-"""Write the log that a problem of the study benchmark-2 begins with: ``python docs/scripts/log_tanks.py``."""
+"""Write the log that a problem of the benchmark begins with: ``python docs/scripts/log_tanks.py``."""
 
 from pathlib import Path
 

@@ -117,7 +117,7 @@ def of(problem: Problem, **how: Any) -> ProblemEnv:
 
 
 def test_the_problems_of_the_benchmark_are_registered() -> None:
-    assert len(PROBLEMS) == 10
+    assert len(PROBLEMS) == 17
     env = gymnasium.make("ddpc_cosim/pendulum-v1", scenario="noise", horizon=2)
     own = env.unwrapped
     assert isinstance(own, ProblemEnv)

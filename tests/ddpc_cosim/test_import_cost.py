@@ -121,7 +121,7 @@ def test_writing_and_reading_parquet(tmp_path: Path) -> None:
 FMU_RUNTIME = {"ddpc_cosim.fmu.plant", "ddpc_cosim.fmu.session", "ddpc_cosim.fmu.instance", "fmpy"}
 
 
-@pytest.mark.parametrize("study", ["paper", "benchmark"])
+@pytest.mark.parametrize("study", ["paper", "mimo", "monte-carlo"])
 def test_a_study_of_equations_is_read_without_anything_of_fmus(tmp_path: Path, study: str) -> None:
     loaded = modules_after(
         f"from ddpc_cosim.study.reading import read_study\nread_study('{study}')", tmp_path

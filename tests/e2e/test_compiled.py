@@ -14,8 +14,10 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, selected_cases
 
 COUNT, TOLERANCE = 200, 1e-9
-# What takes long in Python, or has prices, bands and forecasts, which the compiled loop does not know.
+# Others take long in Python, or have prices, bands and forecasts, which the compiled loop does not know.
 STUDIES = ("benchmark", "paper", "noise", "mimo", "time-varying", "unstable", "direction-change")
+IN_PYTHON = {"weather-forecast", "limit-that-pays", "from-a-log", "two-zone-house"}
+"""Problems with such, with a warm-up, or with a plant that has no equations."""
 SIGNALS = ("time", "reference", "y", "measured", "u", "applied")
 
 
@@ -25,7 +27,8 @@ def drawn() -> list[Case]:
         case
         for name in STUDIES
         for case in selected_cases(read_study(name), Selection(seeds=[0, 1]), Silent())[1]
-        if case.section["type"] not in ("nmpc", "spsa", "wkpc-published")  # they have no code in C
+        if case.section["type"] not in ("nmpc", "gpc", "spsa", "wkpc-published")  # they have no code in C
+        and case.problem not in IN_PYTHON
     ]
     return random.Random(20261128).sample(every, COUNT)
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("studies")
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
 # Those that have tests of their own.
-ELSEWHERE = ("benchmark", "benchmark-2", "buildings", "forecast", "paper", "prices")
+ELSEWHERE = ("benchmark", "buildings", "forecast", "paper", "prices")
 LONG = ("direction-change", "mimo", "noise", "time-varying", "tuning", "unstable")
 BUILT_IN = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
