@@ -21,16 +21,17 @@ from ddpc_cosim.plugins import plugin_names
 from ddpc_reports import write_report
 
 PICTURES = Path(__file__).parents[1] / "pictures" / "reports"
-PARTS = {
-    "benchmark": {"by-problem": "#s1-by-problem-table"},
-    "paper": {
-        "responses": "#s1-1-responses",
-        "errors": "#s1-1-errors",
-        "spread": "#s1-1-spread-0",
-    },
-}
 _COLOURS = 256
 _WIDTH, _HEIGHT = 1280, 900
+_AS_WIDE_AS_THE_WINDOW = "<style>.page { max-width: none; }</style>"
+PARTS = {
+    "benchmark": {"by-problem": ("#s1-by-problem-table", 1900)},
+    "paper": {
+        "responses": ("#s1-1-responses", _WIDTH),
+        "errors": ("#s1-1-errors", _WIDTH),
+        "spread": ("#s1-1-spread-0", _WIDTH),
+    },
+}
 
 
 class Camera:
@@ -43,7 +44,11 @@ class Camera:
         options.binary_location = shutil.which("chromium") or ""
         self._browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
         self._ask("Emulation.setScriptExecutionDisabled", value=True)
-        size = {"width": _WIDTH, "height": _HEIGHT, "deviceScaleFactor": 1, "mobile": False}
+        self.widen(_WIDTH)
+
+    def widen(self, width: int) -> None:
+        """Show pages as wide as that."""
+        size = {"width": width, "height": _HEIGHT, "deviceScaleFactor": 1, "mobile": False}
         self._ask("Emulation.setDeviceMetricsOverride", **size)
 
     def open(self, page: Path) -> None:
@@ -84,10 +89,16 @@ def main(runs: Path) -> None:
             if not (runs / study).is_dir():
                 print(f"no results of {study}")
                 continue
-            camera.open(write_report([load_results(runs / study)], Path(folder, f"{study}.html")))
+            page = write_report([load_results(runs / study)], Path(folder, f"{study}.html"))
+            camera.open(page)
             camera.take(PICTURES / f"{study}.png")
-            for name, part in PARTS.get(study, {}).items():
+            text = page.read_text(encoding="utf-8")
+            page.write_text(text.replace("</head>", f"{_AS_WIDE_AS_THE_WINDOW}</head>", 1), encoding="utf-8")
+            for name, (part, width) in PARTS.get(study, {}).items():
+                camera.widen(width)
+                camera.open(page)
                 camera.take(PICTURES / f"{study}-{name}.png", part)
+            camera.widen(_WIDTH)
     camera.close()
 
 

@@ -140,7 +140,7 @@ def overall_answer(comparison: Overall) -> Markup:
     text = _best_rank(ranks, comparison.labels)
     if ranks.p <= LEVEL:
         text += f"; {ranks_differ_clause(ranks, lambda rank: significant(rank, 2))}"
-    text = Markup(" ").join([*comparison.worth, text + "."])
+    text += "."
     if comparison.distances and (share := comparison.distances.overall.get(first.key)):
         points = names([controller for controller in comparison.distances.controllers if controller.is_point])
         # A share of several metrics is of none of them.
@@ -156,7 +156,9 @@ def overall_answer(comparison: Overall) -> Markup:
         text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
     if comparison.left_out:
         text += " " + not_counted_sentence(comparison.left_out)
-    return text
+    # In every problem it is what the study asks; in some of many it is what else there is to say.
+    is_asked = len(comparison.worth) == ranks.problems
+    return Markup(" ").join([*comparison.worth, text] if is_asked else [text, *comparison.worth])
 
 
 def _best_rank(ranks: AverageRanks, labels: Mapping[str, str]) -> Markup:
