@@ -5,12 +5,14 @@ import re
 from dataclasses import replace
 
 import pytest
+from markupsafe import Markup
 from scipy.stats import friedmanchisquare
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.across_problems import (
     Overall,
     overall,
+    overall_answer,
     overall_figures,
     overall_statements,
     overall_table,
@@ -60,6 +62,16 @@ def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
         "Ranks": "Over 8 problems, Quick has the best average rank, 1.00; the problems do not tell it apart "
         "from Middle. Friedman's test: p &lt; 0.001; ranks that are 1.17 or more apart differ."
     }
+
+
+def test_what_knowing_is_worth_leads_where_every_problem_asks_for_it(alike: list[StudyResults]) -> None:
+    """Of some of many problems it is what else there is to say."""
+    comparison = found_in(alike)
+    ahead, worth = overall_answer(comparison), [Markup("House {}: worth it.").format(n) for n in range(8)]
+    assert ahead.startswith("Over 8 problems, <i>Quick</i> has the best average rank")
+    asked, beside = (replace(comparison, worth=worth[:n]) for n in (8, 2))
+    assert overall_answer(asked) == Markup(" ").join([*worth, ahead])
+    assert overall_answer(beside) == Markup(" ").join([ahead, *worth[:2]])
 
 
 def test_the_kinds_that_tuning_chose_are_counted_and_numbers_are_not(make_results: MakeResults) -> None:
