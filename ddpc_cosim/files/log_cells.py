@@ -55,7 +55,7 @@ _LIKELY_TIME = re.compile(
 )
 _IS_DATE = re.compile(r"^dat", re.IGNORECASE)
 _LONGEST_UNIT = 24
-_LARGEST = 1e150
+_LARGEST_MEASURED = 1e150
 """Numbers beyond are no measurements, as infinite ones are not: their squares are infinite."""
 _MEASURED = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+|(?=[%\u00b0]))([^\d\s]\S*)")
 _GROUPED = "thousands are separated there: export numbers without that"
@@ -172,7 +172,7 @@ class _Numbers:
         """Take numbers that follow those before, NaN for none, and the decimal marks of their text."""
         for mark in marks:
             self.marks.setdefault(mark, self._rows)
-        for i in np.flatnonzero(np.abs(values) > _LARGEST).tolist():
+        for i in np.flatnonzero(np.abs(values) > _LARGEST_MEASURED).tolist():
             self.words[self._rows + i] = str(values[i])
             values[i] = np.nan
         self._filled += int(np.count_nonzero(~np.isnan(values)))
@@ -189,7 +189,7 @@ class _Numbers:
                     values = np.array([float(cell or "nan") for cell in cells])
         if values is None:
             values = np.array([number(cell) for cell in cells], dtype=np.float64)
-        beyond = np.abs(values) > _LARGEST
+        beyond = np.abs(values) > _LARGEST_MEASURED
         wrong = np.flatnonzero(beyond | np.isnan(values)).tolist()
         values[wrong] = np.nan
         self._filled += len(cells) - len(wrong)
