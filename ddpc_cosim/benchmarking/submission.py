@@ -11,7 +11,7 @@ import csv
 import io
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -247,7 +247,8 @@ def enter(
     if name not in base.tables[CONTROLLERS] and _has_search(resolved, name):
         trials, seeds = budget.completed(base.tables)
         request = Request(trials=trials or 0, seeds=seeds, command=command, compares=False)
-        entry, tried = _tuned(entry, base, folder, request, selection, progress)
+        groups = _by_objectives(resolved)
+        entry, tried = _tuned(entry, groups, base, folder, request, selection, progress)
         resolved = entry.resolved(base, folder)
         write_atomically(folder / TRIALS_FILE, tried)
     write_atomically(folder / ENTRY_FILE, entry.written())
@@ -258,6 +259,7 @@ def enter(
 
 def _tuned(
     entry: Entry,
+    groups: Mapping[tuple[str, ...], list[str]],
     base: StudyFile,
     folder: Path,
     request: Request,
@@ -268,10 +270,6 @@ def _tuned(
 
     Problems that are judged by the same figures are tuned together, in a folder beside the submission.
     """
-    resolved = entry.resolved(base, folder)
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for name, problem in resolved.problems.items():
-        groups.setdefault(_objectives(problem.study), []).append(name)
     controller, tried = entry.controller, list[dict[str, str]]()
     for objectives, names in groups.items():
         part = replace(entry, problems=tuple(names)) if entry.problems else entry
@@ -288,13 +286,21 @@ def _tuned(
             controller = section
         else:
             of_problems = section.pop(PROBLEMS, {})
-            found = {name: {"settings": {}} | section | of_problems.get(name, {}) for name in names}
-            controller = controller | {PROBLEMS: controller.get(PROBLEMS, {}) | found}
+            of_each = {name: {"settings": {}} | section | of_problems.get(name, {}) for name in names}
+            controller = controller | {PROBLEMS: controller.get(PROBLEMS, {}) | of_each}
     text = io.StringIO()
     rows = csv.DictWriter(text, list(dict.fromkeys(key for row in tried for key in row)))
     rows.writeheader()
     rows.writerows(tried)
     return replace(entry, controller=controller), text.getvalue().encode()
+
+
+def _by_objectives(resolved: ResolvedProblems) -> dict[tuple[str, ...], list[str]]:
+    """Return the names of problems by what their settings are searched by."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, problem in resolved.problems.items():
+        groups.setdefault(_objectives(problem.study), []).append(name)
+    return groups
 
 
 def _objectives(study: Study) -> tuple[str, ...]:

@@ -778,7 +778,8 @@ def _plugin_modules(cases: Sequence[Case]) -> list[str]:
     Controllers that are installed, and what is of this project: modules beside a study may change between
     two runs.
     """
-    named = {name for case in cases for name in types_in(case.section) if name}
+    sections = {id(case.section): case.section for case in cases}.values()  # seeds share theirs
+    named = {name for section in sections for name in types_in(section) if name}
     lasting = [name for name in named if ":" not in name or is_own("controllers", name)]
     modules = sorted({load_plugin("controllers", name).__module__ for name in lasting})
     return [f"{name}:preload" if hasattr(sys.modules[name], "preload") else name for name in modules]

@@ -5,3 +5,4 @@ import sys
 collect_ignore = (
     ["running/test_cluster.py", "test_working_directory_posix.py"] if sys.platform == "win32" else []
 )
+collect_ignore += [] if sys.platform == "linux" else ["test_preloading_linux.py"]
