@@ -45,9 +45,11 @@ _Places2 = np.ndarray[tuple[int, int], np.dtype[np.intp]]
 _EXACT = 14  # seeds up to which all signs are counted: 2**13, as a sign and its opposite come to the same
 _DRAWS = 9999  # signs that are drawn where there are more
 _FEWEST_DRAWS = 999  # of families so large that ...
-_MOST_VALUES = 10**8  # ... so many statistics would be too many
-_AT_ONCE = 10**6  # statistics that are held at a time
+_MOST_VALUES = 10**8  # ... so many statistics would be too many, or ...
+_MOST_SIGNS = 2 * 10**7  # ... so many signs
+_AT_ONCE = 10**6  # statistics, or signs, that are held as numbers at a time
 _LARGEST_SCALE = 0.7  # a pair's scale, in parts of the root mean square of its own differences
+_NEVER = 1e-18  # probability of a pair of middle values that is left out
 _SAME = 1e-9  # relative difference from which on two values are two
 
 
@@ -401,8 +403,10 @@ def step_down(values: FloatArray, members: _Places2) -> FloatArray:
     # Sums of the same numbers differ by rounding: equal ones are to count as equal.
     least = abs(values.sum(axis=1)) - _SAME * abs(values).sum(axis=1)
     count = np.zeros(len(values), dtype=np.int64)
-    signs = _signs(values.shape[1], min(_DRAWS, max(_FEWEST_DRAWS, _MOST_VALUES // len(values))))
-    for part in np.array_split(signs, math.ceil(signs.size / values.shape[1] * len(values) / _AT_ONCE)):
+    tests, seeds = values.shape
+    most = min(_MOST_VALUES // tests, _MOST_SIGNS // seeds)
+    signs = _signs(seeds, min(_DRAWS, max(_FEWEST_DRAWS, most)))
+    for part in np.array_split(signs, math.ceil(len(signs) * max(tests, seeds) / _AT_ONCE)):
         sizes = abs(values @ part.T.astype(float))[::-1]
         # The largest of those from each place on: of the differences that are no more significant.
         np.maximum.accumulate(sizes, axis=0, out=sizes)
@@ -427,15 +431,18 @@ def _scales(values: FloatArray, counts: _Places, members: _Places2) -> FloatArra
     return np.where(size > 0, scales, 1.0)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=2)
 def _signs(n: int, draws: int) -> np.ndarray[tuple[int, int], np.dtype[np.int8]]:
     """Return ways to give n values signs, the given ones first; of those that mirror each other one."""
     if n <= _EXACT:
         bits = np.arange(2 ** (n - 1))[:, None] >> np.arange(n - 1) & 1
-    else:
-        bits = np.random.default_rng(0).integers(0, 2, (draws + 1, n - 1))
-        bits[0] = 0
-    return np.pad(1 - 2 * bits, ((0, 0), (1, 0)), constant_values=1).astype(np.int8)
+        return np.pad(1 - 2 * bits, ((0, 0), (1, 0)), constant_values=1).astype(np.int8)
+    signs = np.ones((draws + 1, n), np.int8)
+    rng = np.random.default_rng(0)
+    for row in signs:  # one by one: what is drawn has eight times their memory
+        row[1:] -= (2 * rng.integers(0, 2, n - 1)).astype(np.int8)
+    signs[0] = 1
+    return signs
 
 
 def median_interval(values: FloatArray) -> tuple[float, float]:
@@ -469,11 +476,12 @@ def _resampled_medians(n: int) -> tuple[FloatArray, _Places, _Places]:
     half = n // 2
     # Half of the draws are at most the i-th, one of them is it; the others, mirrored, at least the j-th.
     below = half * np.log(place / n) + np.log1p(-(((place - 1) / place) ** half))
-    table = np.add.outer(below, below[::-1])[np.ix_(likely, likely)]
-    table = np.triu(np.exp(table + scipy.special.gammaln(n + 1) - 2 * scipy.special.gammaln(half + 1)), 1)
+    table = np.add.outer(below[likely], below[::-1][likely])
+    table += scipy.special.gammaln(n + 1) - 2 * scipy.special.gammaln(half + 1)
+    table = np.exp(table, out=np.zeros_like(table), where=np.triu(np.ones(table.shape, bool), 1))
     np.fill_diagonal(table, weights[likely] - table.sum(axis=1))
-    lower, upper = np.meshgrid(likely, likely, indexing="ij")
-    return table.ravel(), lower.ravel(), upper.ravel()
+    lower, upper = np.nonzero(table > _NEVER)  # of many values the two middle ones are neighbours, or nearly
+    return table[lower, upper], likely[lower], likely[upper]
 
 
 def groups(order: Sequence[str], told_apart: Collection[tuple[str, str]]) -> tuple[tuple[str, ...], ...]:

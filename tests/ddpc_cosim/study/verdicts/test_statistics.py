@@ -14,6 +14,7 @@ from ddpc_cosim import ConfigError
 from ddpc_cosim.study.verdicts.statistics import (
     Comparisons,
     Runs,
+    _signs,
     compare,
     compare_all,
     compare_frame,
@@ -81,10 +82,26 @@ def test_the_bootstrap_interval_is_that_of_all_resamples(n: int) -> None:
 
 def test_the_bootstrap_interval_of_many_values_is_about_that_of_the_normal_law() -> None:
     """The 2.5 % quantile of the median of n uniform values is 1/2 - 1.96 / (2 sqrt n) of the way."""
-    for n in (400, 401, 4000):
+    for n in (400, 401, 4000, 100_000):
         low, high = median_interval(np.arange(n) / (n - 1))
         assert low == pytest.approx(0.5 - 0.98 / math.sqrt(n), abs=2 / n)
         assert low + high == pytest.approx(1)
+
+
+def test_signs_of_many_values_are_drawn_as_those_of_few_and_take_a_byte_each() -> None:
+    drawn = np.random.default_rng(0).integers(0, 2, (1000, 29))
+    assert (_signs(30, 999)[1:, 1:] == 1 - 2 * drawn[1:]).all()
+    assert (_signs(30, 999)[0] == 1).all()
+    assert _signs(100_000, 9).nbytes == 1_000_000
+
+
+def test_of_a_hundred_thousand_values_a_shift_is_told_from_none() -> None:
+    """The p of a mean is about that of the normal law, by 999 flips."""
+    noise = np.random.default_rng(3).normal(size=100_000)
+    noise -= noise.mean()
+    for sigmas, p in ((2.0, 0.0455), (0.5, 0.617)):
+        shifted = noise + sigmas / math.sqrt(noise.size)
+        assert step_down(shifted[None], np.array([[0, 1]]))[0] == pytest.approx(p, abs=0.06)
 
 
 def test_fewer_than_six_values_have_no_interval_and_equal_ones_have_none_to_either_side() -> None:
