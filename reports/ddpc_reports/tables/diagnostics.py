@@ -79,10 +79,12 @@ def _by_part(controller: ControllerResults, *, of_data: bool) -> dict[str, tuple
         for full, value in case.diagnostics.items():
             part, _, name = full.rpartition(".")
             if (name in _OF_DATA) == of_data:
-                runs = parts.setdefault(part, [{} for _ in controller.cases])
-                runs[i][name] = value
+                if part not in parts:
+                    parts[part] = [{} for _ in controller.cases]
+                run = parts[part][i]
+                run[name] = value
                 if of_data:
-                    runs[i][_SAMPLES] = float(case.recorded_samples or math.nan)
+                    run[_SAMPLES] = float(case.recorded_samples or math.nan)
     return {part: tuple(runs) for part, runs in parts.items()}
 
 
