@@ -204,6 +204,7 @@ def started(new: Make, loop: Loop, past: Recording | None) -> Controller:
 EVERY: dict[str, tuple[Callable[[], Loop], Make]] = {
     **{f"regulated: {name}": (regulated, new) for name, new in METHODS.items()},
     **{name: (lambda bench=bench: bench.loop()[0], new) for name, (bench, new) in PLAIN.items()},  # type: ignore[misc]
+    "GPC, known disturbances": (lambda: replace(regulated(), moving_limits=()), lambda: GPC(horizon=6)),
 }
 
 
