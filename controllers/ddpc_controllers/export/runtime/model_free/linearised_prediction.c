@@ -19,13 +19,14 @@ static void predict_change(const LinearisedPrediction *prediction, const Predict
 {
     const size_t p = prediction->p, m = prediction->m, n = prediction->control_horizon * m;
     const size_t first = prediction->diagonal ? output : 0;
+    const size_t end_outputs = first + own_outputs(prediction), end_inputs = first + own_inputs(prediction);
     const double *phi = held->ahead + (output * prediction->horizon + k) * own_changes(prediction);
     const double *dy = changes, *du = dy + p * prediction->output_length;
     double *row = held->response + (k * p + output) * (n + 1);
     for (size_t i = 0; i < n; ++i) row[i] = 0.0;
     row[n] = acting;
     for (size_t lag = 0; lag < prediction->output_length; ++lag) {
-        for (size_t i = first; i < first + own_outputs(prediction); ++i, ++phi) {
+        for (size_t i = first; i < end_outputs; ++i, ++phi) {
             if (lag >= k) {
                 row[n] += *phi * dy[(lag - k) * p + i];
                 continue;
@@ -35,7 +36,7 @@ static void predict_change(const LinearisedPrediction *prediction, const Predict
         }
     }
     for (size_t lag = 0; lag < prediction->input_length; ++lag) {
-        for (size_t j = first; j < first + own_inputs(prediction); ++j, ++phi) {
+        for (size_t j = first; j < end_inputs; ++j, ++phi) {
             if (lag > k) row[n] += *phi * du[(lag - k - 1) * m + j];
             else if (k - lag < prediction->control_horizon) row[(k - lag) * m + j] += *phi;
         }
