@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.pendulum import PRINTED, SAMPLING_TIME, STEPS, Pendulum, experiment, loop
 from benchmarks.step import Row, print_header, print_rows
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -53,6 +54,7 @@ METHODS: dict[str, Controller] = {
     "MFAPC-CFDL": MFAPC(limits="clip"),
     "MFAPC-PFDL": MFAPC(form="pfdl"),
     "MFAPC-FFDL": MFAPC(form="ffdl"),
+    "GPC": GPC(),
     "LQR": LQR(model=Identified(lags=2)),
     "MPC": MPC(model=Identified(lags=2), horizon=5),
     "Koopman MPC": KoopmanMPC(state="delays", dictionary=Polynomials()),

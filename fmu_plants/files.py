@@ -123,9 +123,12 @@ def cached(place: str, make: Callable[[], bytes]) -> Path:
     content = make()
     try:
         for folder in reversed(path.relative_to(root).parents[:-1]):
-            if not _is_own(root / folder, stat.S_IFDIR):
-                (root / folder).unlink(missing_ok=True)  # a link, or a file
-            (root / folder).mkdir(mode=0o700, exist_ok=True)
+            try:
+                (root / folder).mkdir(mode=0o700)
+            except FileExistsError:
+                if not _is_own(root / folder, stat.S_IFDIR):
+                    (root / folder).unlink()  # a link, or a file
+                    (root / folder).mkdir(mode=0o700)
         write_atomically(path, content)
         write_atomically(_hash_file(path), hashlib.sha256(content).hexdigest().encode())
     except OSError as error:

@@ -27,6 +27,7 @@ from ddpc_controllers.data.hankel import (
     resting_input,
 )
 from ddpc_controllers.data.quality import Span, judge
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.data_model import Form
 from ddpc_controllers.models.data_model_prediction import LinearisedPrediction
 from ddpc_controllers.models.recursive import Changes, Lengths, RecursiveLeastSquares, recorded_changes
@@ -265,3 +266,42 @@ class GPC(ScaledSignals):
                 first = self.input_length - lag
                 acting += whole[first : first + self.horizon] @ block
         return acting.ravel()
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        """Add the method, with what it has learned."""
+        code.kernel("gpc")
+        p, n_d, terms = len(loop.outputs), len(loop.disturbances), len(self._model.root)
+        ahead = self.horizon if self.use_forecast and n_d else 0
+        prediction, prediction_held = self._prediction.in_c(code)
+        limits, limits_held = self._limits.in_c(code)
+        gpc = code.constant(
+            "GPC",
+            prediction=f"&{prediction}",
+            n_d=n_d,
+            ahead=ahead,
+            filtered=self.observer_pole,
+            forgetting=self.forgetting_factor,
+            largest_trace=self.covariance_limit,
+            dead_zone=self.dead_zone,
+            roots=code.doubles(self._roots[:p]),
+            ridge=code.doubles(self._ridge),
+            limits=f"&{limits}",
+        )
+        course = code.memory(np.zeros((1 + ahead) * n_d))
+        held = code.held(
+            "GPCMemory",
+            *(self._u, *self._changes.signals, self._model.coefficients.T, self._model.root),
+            *map(np.zeros, (terms, terms, terms**2)),
+            course,
+            np.zeros(self.horizon * p),
+            prediction_held,
+            limits_held,
+        )
+        look = ""
+        if n_d and code.ahead:
+
+            def known(sample: Sample) -> FloatArray:
+                return np.vstack([sample.disturbance, sample.forecast[:ahead]])
+
+            look = code.ahead.chosen(code, known, course)
+        return code.step(f"{look}{held}gpc_step(&{gpc}, &held, sample, u, told);")

@@ -178,22 +178,16 @@ class ModelFreeAdaptive(ScaledSignals):
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the method, with what it has learned."""
         code.kernel("adaptive")
-        form, n, rows = self._model.form, self._ridge.shape[0], self.horizon * len(self._unit)
+        prediction, prediction_held = self._prediction.in_c(code)
         limits, limits_held = self._limits.in_c(code)
         adaptive = code.constant(
             "Adaptive",
-            p=form.outputs,
-            m=form.inputs,
-            output_length=form.output_length,
-            input_length=form.input_length,
-            diagonal=form.diagonal,
-            horizon=self.horizon,
-            control_horizon=n // form.inputs,
+            prediction=f"&{prediction}",
             assume_sign=self.assume_sign,
             eta=self.eta,
             mu=self.mu,
             epsilon=self.epsilon,
-            lambda_u=self.lambda_u,
+            ridge=code.doubles(np.diag(self._ridge)),
             **self._own_constants(),
             initial=code.doubles([row.initial for row in self._model.gradients]),
             limits=f"&{limits}",
@@ -203,11 +197,10 @@ class ModelFreeAdaptive(ScaledSignals):
         theta, past = (
             [getattr(forecast, name) for forecast in self._forecasts] for name in ("theta", "newest_first")
         )
-        sizes = [gradients.shape[1], gradients.size * self.horizon, rows * (n + 1), rows, n * n, n * n, n, n]
         held = code.held(
             "AdaptiveMemory",
-            *(known, y, changes, self._u, gradients, theta, past),
-            *map(np.zeros, [*sizes, (rows + n) * n]),
+            *(known, y, changes, self._u, gradients, theta, past, np.zeros(gradients.shape[1])),
+            prediction_held,
             limits_held,
         )
         return code.step(f"{held}adaptive_step(&{adaptive}, &held, sample, u, told);")

@@ -28,7 +28,6 @@ REFUSED = {
     "spsa": "it draws random perturbations of its gains for as long as it runs",
     "select-dpc": "it factorises the windows that it chooses",
     "wkpc-published-code": "the program draws random centres",
-    "gpc": "the method has no code in C",
     "deepc-online": "the data are factorised anew while the loop runs",
     "wkpc-online": "the data are factorised anew while the loop runs",
 }

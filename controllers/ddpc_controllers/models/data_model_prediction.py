@@ -24,6 +24,7 @@ from operator import mul
 import numpy as np
 import scipy  # whose parts are imported when they are first used
 
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.data_model import PseudoGradient, Regressor, dot
 from ddpc_cosim import FloatArray
 
@@ -100,6 +101,24 @@ class LinearisedPrediction:
             changes = scipy.linalg.blas.dtrsm(1.0, -self._coming, changes, lower=1, diag=1)
         sums = self._summed(changes)
         return sums[:, :-1], sums[:, -1]
+
+    def in_c(self, code: Code) -> tuple[str, str]:
+        """Add the sizes to code in C; return their name, and the initialiser of what they need in memory."""
+        regressors, inputs, horizon, control_horizon = self._arguments
+        own, p, n = regressors[0], len(regressors), control_horizon * inputs
+        prediction = code.constant(
+            "LinearisedPrediction",
+            p=p,
+            m=inputs,
+            output_length=own.output_length,
+            input_length=own.input_length,
+            diagonal=len(own.inputs) < inputs,
+            horizon=horizon,
+            control_horizon=control_horizon,
+        )
+        terms, rows = own.output_terms + len(own.inputs) * own.input_length, horizon * p
+        sizes = (rows * terms, rows * (n + 1), rows, n * n, n * n, n, n, (rows + n) * n)
+        return prediction, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
 
     def _summed(self, changes: FloatArray) -> FloatArray:
         """Return the sums of the rows over time."""

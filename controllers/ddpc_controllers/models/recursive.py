@@ -186,6 +186,19 @@ class Changes:
         """Take the change of the inputs at this sample, shape (m,)."""
         self.du = np.concatenate([du, self.du])[: len(self.du)]
 
+    @property
+    def signals(self) -> tuple[FloatArray | float, ...]:
+        """What it remembers, for code in C.
+
+        Whether there is a sample before the next one, and how many to come teach nothing; outputs and
+        disturbances; their changes and those of the inputs, with room for the next change of disturbances;
+        phi and target, filtered; the residual.
+        """
+        y = np.zeros(self._lengths.outputs) if self._y is None else self._y
+        known, dd = float(self._y is not None), np.append(self.dd, np.zeros(len(self._d)))
+        changes = np.append(self.dy, self.du)
+        return known, self._missing, y, self._d, changes, dd, self._regressor, self._target, self.residual
+
 
 def recorded_changes(changes: Changes, pieces: Sequence[Recording]) -> tuple[FloatArray, FloatArray]:
     """Return all that pieces of a recording teach: phi, shape (N, n), and targets, shape (N, p).

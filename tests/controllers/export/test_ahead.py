@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -41,9 +42,11 @@ def known_so_far(sample: Sample, preview: int) -> Sample:
     )
 
 
-def side_by_side(controller: Controller, case: Case, preview: int, missing: float = 0.05) -> Beside:
+def side_by_side(
+    controller: Controller, case: Case, preview: int, missing: float = 0.05, **changes: Any
+) -> Beside:
     """Close a loop whose future is random at every sample."""
-    loop = a_case(case, preview)
+    loop = replace(a_case(case, preview), **changes)
     beside, rng = Beside(controller=controller), np.random.default_rng(3)
     beside.start(loop)
     state, u = np.zeros(case.output.shape[1]), np.zeros(case.inputs)

@@ -14,6 +14,7 @@ from controllers.export.compiled import STRICT
 from controllers.export.loops import COUPLED, PENDULUM, Bench
 from controllers.test_foresight import PLANTS, make
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAPC,
@@ -48,6 +49,7 @@ CONTROLLERS: dict[str, tuple[Bench | Regulated, Controller]] = {
     "decentralised": (COUPLED, Scaled(controller=Decentralised(groups=LOOPS))),
     "deepc": (PENDULUM, DeePC()),
     "deepc-regulated": (Regulated(), DeePC(horizon=6)),
+    "gpc": (COUPLED, GPC(rate_bounds=0.3)),
     "koopman-mpc": (PENDULUM, KoopmanMPC()),
     "mfapc": (PENDULUM, MFAPC(form="ffdl", rate_bounds=0.3)),
     "mpc": (COUPLED, MPC()),

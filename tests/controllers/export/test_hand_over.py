@@ -14,6 +14,7 @@ from controllers.export.compiled import CompiledController
 from controllers.export.loops import COUPLED, PENDULUM, Bench
 from controllers.test_foresight import PLANTS, make, power, sample_of
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -76,6 +77,8 @@ PLAIN: dict[str, tuple[Bench, Make]] = {
     "MFAC, two": (COUPLED, lambda: MFAC(form="pfdl", structure="diagonal")),
     "MFAPC": (PENDULUM, lambda: MFAPC(form="ffdl", rate_bounds=0.3)),
     "MFAPC, two": (COUPLED, lambda: MFAPC(assume_sign=False)),
+    "GPC": (PENDULUM, lambda: GPC(initial_model="gradient", rate_bounds=0.3)),
+    "GPC, two": (COUPLED, lambda: GPC(forgetting_factor=0.9)),
     "intelligent P": (COUPLED, lambda: IPID(alpha=[4.0, 3.0])),
     "intelligent PI": (COUPLED, lambda: IPID(alpha=[4.0, 3.0], ki=0.2)),
     "intelligent PID": (PENDULUM, lambda: IPID(order=2, alpha=2.0, kp=2.0, ki=0.5, kd=2.0)),
@@ -201,6 +204,7 @@ def started(new: Make, loop: Loop, past: Recording | None) -> Controller:
 EVERY: dict[str, tuple[Callable[[], Loop], Make]] = {
     **{f"regulated: {name}": (regulated, new) for name, new in METHODS.items()},
     **{name: (lambda bench=bench: bench.loop()[0], new) for name, (bench, new) in PLAIN.items()},  # type: ignore[misc]
+    "GPC, known disturbances": (lambda: replace(regulated(), moving_limits=()), lambda: GPC(horizon=6)),
 }
 
 
@@ -309,6 +313,7 @@ FMUS: dict[str, tuple[Callable[[], Loop], Make, str]] = {
     "regulated: LQR": (regulated, METHODS["LQR"], "3.0"),
     "PID": (*EVERY["PID"], "2.0"),
     "MFAPC": (*EVERY["MFAPC"], "3.0"),
+    "GPC": (*EVERY["GPC, two"], "2.0"),
 }
 
 

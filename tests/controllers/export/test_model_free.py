@@ -1,4 +1,4 @@
-"""Controllers without a model and those that hold others, in C: as in Python at every sample."""
+"""Controllers without a model or with one of changes, and those that hold others, in C: as in Python."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import (
+    GPC,
     IPID,
     LQR,
     MFAC,
@@ -41,6 +42,10 @@ ALL = {
     ),
     "mfapc-ffdl": MFAPC(form="ffdl", rate_bounds=0.3, lambda_u=0.01, output_length=2, initial_gradient=0.01),
     "mfac": MFAC(form="ffdl", step_factor=0.6, rate_bounds=0.5),
+    "gpc": GPC(rate_bounds=1.5, horizon=6),
+    "gpc-gradient": GPC(
+        initial_model="gradient", observer_pole=0.0, control_horizon=3, output_length=1, scaling="range"
+    ),
     "ipid": IPID(alpha=5.0, kp=2.0),
     "ipid-second-order": IPID(order=2, alpha=5.0, kp=9.0, kd=4.0, ki=3.0, window=6),
 }
@@ -49,6 +54,8 @@ COUPLED_ONES = {
     "mfapc-diagonal": MFAPC(form="pfdl", structure="diagonal", horizon=6, rate_bounds=[0.7, 0.4]),
     "mfapc-diagonal-ffdl": MFAPC(form="ffdl", structure="diagonal", output_length=3, control_horizon=2),
     "mfac": MFAC(form="pfdl", lambda_u=0.01),
+    "gpc": GPC(output_weight=[1.0, 3.0], change_weight=[0.1, 0.4], rate_bounds=[0.3, 0.5]),
+    "gpc-gradient": GPC(initial_model="gradient", initial_gradient=[[0.5, 0.1], [0.0, 0.4]], input_length=1),
     "pid": PID(proportional=[0.1, 0.2], integral=[0.3, 0.1], derivative=0.01, pairing=[1, 0]),
     "ipid": IPID(alpha=[[5.0, 0.3], [0.0, 4.0]], kp=1.0, ki=0.5),
     "ipid-coupled": IPID(order=2, alpha=[[50.0, 3.0], [2.0, 40.0]], kp=2.0, kd=3.0, window=5),
@@ -82,6 +89,7 @@ CASCADES = {
     "of-a-measurement": Cascade(
         inner=PID(proportional=2.0), outer=PID(proportional=2.0), inner_outputs=["x1"], outer_period=2
     ),
+    "gpc-outer": Cascade(inner=PID(proportional=2.0), outer=GPC(initial_model="gradient"), outer_period=2),
     "mpc-outer": Cascade(
         inner=PID(proportional=2.0, integral=1.0), outer=MPC(model=LAG, horizon=6, rate_bounds=0.1)
     ),

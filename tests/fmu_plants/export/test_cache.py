@@ -1,6 +1,7 @@
 """FMUs in the user's cache folder."""
 
 import shlex
+import stat
 import subprocess
 import sys
 
@@ -10,6 +11,7 @@ from fmpy.validation import validate_fmu
 import fmu_plants.files
 from fmu_plants import ExportError, build_fmu
 from fmu_plants.export.compiler import find_compiler
+from fmu_plants.files import cached
 from fmu_plants.pendulum import MODEL
 
 
@@ -60,6 +62,22 @@ def test_a_file_that_another_process_wrote_first_is_used(cache, no_compilation, 
 
     monkeypatch.setattr(fmu_plants.files, "write_atomically", slower)
     assert build_fmu(MODEL) == path
+
+
+def test_a_folder_that_another_process_makes_meanwhile_is_used(cache, monkeypatch):
+    is_own = fmu_plants.files._is_own
+
+    def slower(path, kind):
+        was_there = is_own(path, kind)
+        if kind == stat.S_IFDIR and not was_there:
+            path.mkdir(mode=0o700)
+        return was_there
+
+    def made():
+        monkeypatch.setattr(fmu_plants.files, "_is_own", slower)
+        return b"content"
+
+    assert cached("folder/file", made).read_bytes() == b"content"
 
 
 def test_a_cache_folder_that_cannot_be_made_is_named(no_compilation, monkeypatch, tmp_path):

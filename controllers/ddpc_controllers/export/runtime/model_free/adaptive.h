@@ -4,24 +4,23 @@
 #define ADAPTIVE_H
 
 #include "change_limits.h"
+#include "linearised_prediction.h"
 #include "sample.h"
 
 #include <stdbool.h>
 
 typedef struct {
-    size_t p, m;
-    size_t output_length, input_length; /* Ly, Lu: changes of outputs and of inputs in H */
-    bool diagonal;                      /* each output follows its own past and input only */
-    size_t horizon, control_horizon;    /* N, Nu */
-    size_t forecast_order;              /* n_m; 0: a gradient counts as constant */
+    const LinearisedPrediction *prediction;
+    size_t forecast_order; /* n_m; 0: a gradient counts as constant */
     bool assume_sign;
     double eta, mu, epsilon, delta, theta_0, theta_limit;
-    double lambda_u, step_factor;
-    const double *initial;              /* Phi_1: p rows of the coefficients of one output */
+    double step_factor;
+    const double *ridge;   /* Nu m: lambda */
+    const double *initial; /* Phi_1: p rows of the coefficients of one output */
     const ChangeLimits *limits;
 } Adaptive;
 
-/* Of a row of coefficients there are w = Ly + Lu with the diagonal structure, p Ly + m Lu otherwise; n = Nu m. */
+/* Of a row of coefficients there are w = Ly + Lu with the diagonal structure, p Ly + m Lu otherwise. */
 typedef struct {
     double *begun;    /* whether `y` is known */
     double *y;        /* p */
@@ -30,14 +29,8 @@ typedef struct {
     double *gradients; /* p x w */
     double *theta;     /* p x w x n_m */
     double *past;      /* p x w x (n_m + 1), newest first */
-    /* of this step only */
-    double *h;         /* w */
-    double *ahead;     /* p x N x w: Phi_k ... Phi_k+N-1 */
-    double *response;  /* N p x (n + 1): A and f of Y = E y_k + f + A dU */
-    double *error;     /* N p: Y* - E y_k - f */
-    double *hessian, *factor; /* n x n each */
-    double *slope, *plan;     /* n each */
-    double *tall;      /* (N p + n) x n */
+    double *h;         /* w, of this step only */
+    PredictionMemory prediction;
     ChangeLimitsMemory limits;
 } AdaptiveMemory;
 
