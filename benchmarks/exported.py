@@ -254,16 +254,16 @@ def size(name: str, controller: Controller) -> bool:
         path = export_controller(controller, started_loop, Path(text) / "controller.fmu", platforms="all")
         fmu = path.stat().st_size / 1e3
         with zipfile.ZipFile(path) as archive:
-            header = archive.read("sources/controller.h").decode()
             sources = sum(
                 member.compress_size
                 for member in archive.infolist()
                 if member.filename.startswith("sources/")
             )
-    numbers = next(int(line.split()[2]) for line in header.splitlines() if "define CONTROLLER_MEMORY" in line)
+    footprint = controller.c_code(started_loop).footprint
+    assert footprint
     signals = 5 + len(started_loop.measurements) + (1 + controller.horizon) * len(started_loop.outputs)
-    # The committed state and the one that is tried, each with three counts, and the values of all variables.
-    memory = (2 * (8 * numbers + 16) + 8 * signals) / 1e3
+    # The committed state and the one that is tried, and the values of all variables.
+    memory = (2 * footprint.state + 8 * signals) / 1e3
     verdict = "held" if fmu <= _LARGEST_FMU else "MISSED"
     print(
         f"{name}: FMU for five platforms {fmu:.1f} kB (<= {_LARGEST_FMU:g} {verdict}), of which its C code "

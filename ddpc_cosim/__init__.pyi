@@ -9,6 +9,7 @@ from .controller import (
     Charge as Charge,
     Controller as Controller,
     ControllerCode as ControllerCode,
+    Footprint as Footprint,
     Loop as Loop,
     Recording as Recording,
     Sample as Sample,

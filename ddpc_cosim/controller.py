@@ -431,6 +431,21 @@ class Action(NamedTuple):
     info: Mapping[str, float] = _NO_INFO
 
 
+class Footprint(NamedTuple):
+    """What a controller in C takes of a target's memory besides its instructions.
+
+    Parameters
+    ----------
+    constants : int
+        Numbers that do not change, such as gains and limits, and those that the state begins with [bytes].
+    state : int
+        ``ControllerState``: what changes, with all that a step works with [bytes]; each instance has its own.
+    """
+
+    constants: int
+    state: int
+
+
 @dataclass(frozen=True, slots=True)
 class ControllerCode:
     """A started controller as C code: what :func:`ddpc_cosim.export_controller` makes an FMU of.
@@ -462,12 +477,15 @@ class ControllerCode:
         What ``controller.h`` then declares ``void controller_load(const double numbers[])`` for: it is to be
         called before the start. Code whose numbers stand apart is the same for all recordings that have
         given a law of the same size. Empty: all of it is in the code.
+    footprint : Footprint or None
+        What it takes of a target's memory; None: that is not known.
     """
 
     sources: Mapping[str, str]
     statuses: Mapping[int, str]
     follows: bool = False
     numbers: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
+    footprint: Footprint | None = None
 
 
 def further_arguments(loop: Loop, horizon: int) -> dict[str, tuple[int, ...]]:

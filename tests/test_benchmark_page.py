@@ -1,8 +1,10 @@
 """docs/benchmark.md and the summary of its study say what the tables say that a script writes from a run."""
 
+import importlib.util
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -12,14 +14,18 @@ import pytest
 from ddpc_cosim import studies
 from ddpc_cosim.study.reading import read_study
 
-PAGE = (Path(__file__).parents[1] / "docs" / "benchmark.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "benchmark.md").read_text(encoding="utf-8")
 STUDY = read_study("benchmark")
 FAILED = -100
 """What a problem counts in a median in which at least half of a method's runs failed."""
+NO_CODE = "no C"
+LITTLE, MUCH = 5.0, 40.0
+"""Memory in kB below which a method is said to take little, and from which much."""
 
 
 class Method(NamedTuple):
-    """A row of the first table, and its row of the second."""
+    """A row of the first table, and its rows of those by problem; memory in kB."""
 
     rank: float
     share: int
@@ -29,6 +35,8 @@ class Method(NamedTuple):
     step: int
     samples: int
     by_problem: Mapping[str, int]
+    memory: str
+    memory_by_problem: Mapping[str, tuple[float, ...]]
 
 
 def table(name: str) -> list[list[str]]:
@@ -54,11 +62,21 @@ def read_methods() -> dict[str, Method]:
         }
         for label, *cells in shares
     }
+    (_, *problems), *parts = table("memory")
+    memory_by_problem = {
+        label: {
+            problem: tuple(map(float, cell.split(" + ")))
+            for problem, cell in zip(problems, cells, strict=True)
+            if cell != NO_CODE
+        }
+        for label, *cells in parts
+    }
     methods = {}
-    for label, rank, share, regret, failed, step, samples in table("methods")[1:]:
+    for label, rank, share, regret, failed, step, memory, samples in table("methods")[1:]:
         missed, _, runs = failed.partition(" of ")
         numbers = number(share), number(regret), int(missed), int(runs), number(step), number(samples)
-        methods[label] = Method(float(rank), *numbers, by_problem[label])
+        by = by_problem[label], memory, memory_by_problem[label]
+        methods[label] = Method(float(rank), *numbers, *by)
     return methods
 
 
@@ -105,6 +123,86 @@ def test_the_tables_are_of_this_study() -> None:
 def test_a_share_over_all_problems_is_the_median_of_theirs(label: str) -> None:
     method = METHODS[label]
     assert abs(median(method.by_problem.values()) - method.share) <= 1
+
+
+@pytest.mark.parametrize("label", METHODS)
+def test_memory_over_all_problems_is_the_median_of_theirs(label: str) -> None:
+    method = METHODS[label]
+    sums = [sum(parts) for parts in method.memory_by_problem.values()]
+    if not sums:
+        assert method.memory == NO_CODE
+        return
+    said = re.fullmatch(r"([\d.]+) kB \[([\d.]+) … ([\d.]+)\]", method.memory)
+    assert said
+    wanted = [median(sums), min(sums), max(sums)]
+    assert list(map(float, said.groups())) == pytest.approx(wanted, rel=0.08, abs=0.15)  # of rounded parts
+
+
+def test_memory_is_what_the_code_of_today_takes() -> None:
+    spec = importlib.util.spec_from_file_location(
+        "benchmark_tables", DOCS / "scripts" / "benchmark_tables.py"
+    )
+    assert spec
+    assert spec.loader
+    tables = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tables)
+    problem = STUDY.problems["pendulum"]
+    alone = replace(STUDY, problems={"pendulum": problem})
+    labels = {key: section.label for key, section in problem.study.controllers.items()}
+    taken = tables.footprints(alone, [key for key, label in labels.items() if label in METHODS])
+    measured = {labels[key]: tables.footprint_words(of["pendulum"]) for key, of in taken.items()}
+    (_, *problems), *parts = table("memory")
+    assert measured == {label: cells[problems.index("pendulum")] for label, *cells in parts}
+
+
+def test_who_takes_much_memory_plans_more_inputs() -> None:
+    def planned(label: str) -> float:
+        counts = []
+        for problem in METHODS[label].memory_by_problem:
+            study = STUDY.problems[problem].study
+            (section,) = [section for section in study.controllers.values() if section.label == label]
+            counts.append(section.settings["horizon"] * len(STUDY.problems[problem].inputs))
+        return median(counts)
+
+    _, middle, much = by_memory()
+    assert min(map(planned, much)) > max(map(planned, middle))
+
+
+def by_memory() -> tuple[list[str], list[str], list[str]]:
+    """Return the methods that have C code by memory, the least first: little, more, much."""
+    in_c = {label: kilobytes(label) for label, method in METHODS.items() if method.memory != NO_CODE}
+    labels = sorted(in_c, key=in_c.__getitem__)
+    return (
+        [label for label in labels if in_c[label] < LITTLE],
+        [label for label in labels if LITTLE <= in_c[label] < MUCH],
+        [label for label in labels if in_c[label] >= MUCH],
+    )
+
+
+def kilobytes(label: str) -> float:
+    """Return how much memory a method takes in the median."""
+    return float(METHODS[label].memory.partition(" ")[0])
+
+
+def of_memory() -> str:
+    """Return which methods take little memory and which much."""
+    little, middle, much = by_memory()
+    spans = [f"{kilobytes(of[0]):g} to {kilobytes(of[-1]):g} kB" for of in (little, middle, much)]
+    sums = {
+        (label, problem): sum(parts)
+        for label, method in METHODS.items()
+        for problem, parts in method.memory_by_problem.items()
+    }
+    most, where = max(sums, key=sums.__getitem__)
+    without = [label for label, method in METHODS.items() if method.memory == NO_CODE]
+    nowhere = [problem for problem in STUDY.problems if all(problem != there for _, there in sums)]
+    nobody = f", and on {coded(nowhere)} nobody has" if nowhere else ""
+    return (
+        f"**Memory in C** is {spans[0]} for {listed(little)}, {spans[1]} for {listed(middle)}, and "
+        f"{spans[2]} for {listed(much)}; the most is {METHODS[most].memory.rstrip(']').rpartition(' ')[2]} "
+        f"kB, of {most} on {coded([where])}. {listed(without)} {'have' if without[1:] else 'has'} no C "
+        f"code{nobody}."
+    )
 
 
 def coded(problems: Iterable[str]) -> str:
@@ -179,6 +277,7 @@ def sentences() -> list[str]:
         f"{coded(alone)}; it comes {METHODS['GPC'].share} % far over all.",
         f"**Under drift** {most} loses the most of its median share in `nominal`, {lost[most]} points; of "
         f"{listed(leading)} none loses more than {max(lost[label] for label in leading)}.",
+        of_memory(),
         f"**Who is ahead by what is hard**: {'; '.join(ahead)}.",
     ]
 

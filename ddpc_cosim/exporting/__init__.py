@@ -128,6 +128,7 @@ def block_of(
         "inputs": names(loop.inputs),
         "recording": recording and {"sha256": recording.digest, "samples": len(recording)},
         "status": {str(bit): text for bit, text in code.statuses.items()},
+        "bytes": code.footprint and code.footprint._asdict(),
         "versions": {f"{name} version": version for name, version in versions().items()},
     }
     learned = f", from the recording {recording.digest[:16]}" if recording else ""

@@ -1,5 +1,7 @@
 """Write the tables of benchmark.md and of methods/gpc.md from the results of the benchmark.
 
+What methods take of a target's memory is measured anew, with the settings of that run.
+
 Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...]``: the folder that ``ddpc-cosim run
 benchmark`` wrote and, where problems were tuned with another seed of the sampler too, ``trials.csv`` of the
 tuning (if parts were tuned apart, several, joined by commas) and those of the others. A table stands between
@@ -17,9 +19,15 @@ from statistics import median
 import numpy as np
 from scipy.stats import kendalltau
 
-from ddpc_cosim import StudyResults, load_results
+from ddpc_cosim import ConfigError, Footprint, StudyResults, load_results
+from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.loop.safe_calls import controller_code
 from ddpc_cosim.metrics import headline
+from ddpc_cosim.study.cases import Case, cases_of, started
 from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.resolve import ResolvedProblems
+from ddpc_cosim.study.runner import built_plants
 from ddpc_cosim.study.verdicts.statistics import median_interval
 from ddpc_reports.across_problems import Overall, overall
 from ddpc_reports.shares import interval_words, share_words
@@ -28,6 +36,7 @@ DOCS = Path(__file__).parents[1]
 PAGES = (DOCS / "benchmark.md", DOCS / "methods" / "gpc.md")
 _TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 _OBJECTIVE, _MOST = "mean_abs_error", 10.0
+_NO_CODE = "no C"
 ADAPTATION = ("gpc", "mfapc", "deepc", "spc", "mpc", "pid")
 LEARNING = ("gpc", "mfapc", "deepc", "mpc")
 """Whom the tables of the page on GPC show: in the last problems, and in the first ten."""
@@ -52,6 +61,8 @@ HARD = {
     "a limit that pays": ("limit-that-pays",),
 }
 """What is hard about a problem; some are in two rows."""
+Footprints = Mapping[str, Mapping[str, Footprint | None]]
+"""What controllers take in C, by their name and that of a problem; None: there is no C code."""
 
 
 def rows(*cells: Sequence[str]) -> str:
@@ -86,7 +97,54 @@ def _most(regret: float) -> str:
     return f"> {100 * _MOST:.0f}" if regret >= _MOST else f"{100 * regret:.0f}"
 
 
-def methods(results: Overall, regret: Mapping[str, str]) -> str:
+def footprints(study: ResolvedProblems, keys: Collection[str]) -> Footprints:
+    """Return what controllers take in C where their case of the first scenario and seed starts them."""
+    with shown("building plants") as progress:
+        plants = built_plants(study.problems, progress)
+    taken: dict[str, dict[str, Footprint | None]] = {key: {} for key in keys}
+    for name, problem in study.problems.items():
+        scenario = next(iter(problem.study.scenarios))
+        for case in cases_of(problem, plants[name], problem.study.seeds[:1]):
+            if case.scenario == scenario and case.controller in taken:
+                taken[case.controller][name] = _footprint(case)
+    return taken
+
+
+def _footprint(case: Case) -> Footprint | None:
+    controller, loop = started(case)
+    try:
+        return controller_code(controller, loop).footprint
+    except ConfigError:
+        return None
+
+
+def _kilobytes(count: float) -> str:
+    thousands = count / 1e3
+    return f"{thousands:.1f}" if thousands < 10 else f"{thousands:.0f}"
+
+
+def footprint_words(footprint: Footprint | None) -> str:
+    """Return constants and state in kB."""
+    return " + ".join(map(_kilobytes, footprint)) if footprint else _NO_CODE
+
+
+def _memory_words(of_problems: Mapping[str, Footprint | None]) -> str:
+    """Return how much memory a method takes in the median over the problems where it has C code."""
+    sums = [sum(footprint) for footprint in of_problems.values() if footprint]
+    if not sums:
+        return _NO_CODE
+    return f"{_kilobytes(median(sums))} kB [{_kilobytes(min(sums))} … {_kilobytes(max(sums))}]"
+
+
+def memory(results: Overall, taken: Footprints) -> str:
+    """Return constants and state of each method in C in each problem."""
+    table = [["method", *next(iter(taken.values()))]]
+    for key, controller in results.controllers.items():
+        table.append([controller.label, *map(footprint_words, taken[key].values())])
+    return rows(*table)
+
+
+def methods(results: Overall, regret: Mapping[str, str], taken: Footprints) -> str:
     """Return ranks, shares, regret, failed runs and cost of each method, the best rank first."""
     far = results.distances
     assert far is not None
@@ -98,6 +156,7 @@ def methods(results: Overall, regret: Mapping[str, str]) -> str:
             "regret [95 % interval]",
             "failed runs",
             "step",
+            "memory in C [range]",
             "needs data",
         ]
     ]
@@ -113,6 +172,7 @@ def methods(results: Overall, regret: Mapping[str, str]) -> str:
                 regret[key],
                 f"{failed} of {runs}",
                 f"{step:.0f} us",
+                _memory_words(taken[key]),
                 f"{samples:.0f} samples" if samples else "nothing",
             ]
         )
@@ -261,8 +321,10 @@ def main(folder: Path, first: str = "", *others: str) -> None:
     assert across is not None
     studies = {part.study.name: part.study for part in results.problems()}
     labels = {key: controller.label for key, controller in across.controllers.items()}
+    taken = footprints(read_study(str(folder / "study.toml")), labels)
     tables = {
-        "methods": methods(across, regrets(results, labels)),
+        "methods": methods(across, regrets(results, labels), taken),
+        "memory": memory(across, taken),
         "problems": problems(across),
         "scenarios": scenarios(across),
         "hard": hard(across),

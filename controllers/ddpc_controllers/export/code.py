@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_cosim import ConfigError, Controller, ControllerCode, FloatArray, Loop, Sample, further_arguments
+from ddpc_cosim import (
+    ConfigError,
+    Controller,
+    ControllerCode,
+    FloatArray,
+    Footprint,
+    Loop,
+    Sample,
+    further_arguments,
+)
 from ddpc_cosim.files.texts import printable
 
 STATUSES: Mapping[int, str] = {
@@ -38,6 +47,8 @@ _ROWS = {
 }
 """Fields of a sample with time along axis 0: the field of its present row, and rows beyond the horizon's."""
 _WIDTH = 8
+_DOUBLE = 8
+_COUNTS = 16  # of a state: three unsigned, filled up to where a double may stand
 _PACKAGE = __name__.partition(".")[0]
 
 
@@ -472,7 +483,10 @@ class Code:
                 *end,
             ]
         self.kernel("sample")
-        loaded = [part for part in self.parts if not isinstance(part, str)] if apart else []
+        numeric = [part for part in self.parts if not isinstance(part, str)]
+        constants = _DOUBLE * sum(part.numbers.size for part in numeric)
+        footprint = Footprint(constants, _DOUBLE * len(self.start) + _COUNTS)
+        loaded = numeric if apart else []
         if apart:
             functions[_LOAD] = [line for part in loaded for line in part.loading()]
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
@@ -500,6 +514,8 @@ class Code:
                     u=_in_comment([variable.name for variable in loop.inputs]),
                     sampling_time=f"{loop.sampling_time!r} s",
                     preview=preview,
+                    constants=footprint.constants,
+                    state=footprint.state,
                     follow=(_FOLLOWS if self.follows else "") + (_LOADS if apart else ""),
                 ),
                 "controller.c": "\n\n".join(parts) + "\n",
@@ -508,6 +524,7 @@ class Code:
             STATUSES,
             self.follows,
             np.concatenate([np.empty(0), *(part.numbers for part in loaded)]),
+            footprint,
         )
 
     def texts(self, *, apart: bool = False) -> list[str]:
@@ -545,6 +562,8 @@ _HEADER = """/* A sampled controller: call controller_step once in every samplin
  *   y: {y}; NaN where one is missing
  *   r: {r} now (the setpoint), then {preview} future samples, one after another{further}
  *   u: {u}, within their bounds
+ *
+ * Its constants take {constants} bytes, each ControllerState {state}, with doubles of 8.
  *
  * A step returns 0, or why u is a fallback, a sum of
 {statuses}

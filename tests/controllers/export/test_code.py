@@ -1,5 +1,6 @@
 """The skeleton of exported code: signals in their order, scales, bounds, missing values, hostile names."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +10,18 @@ import pytest
 from controllers.export.compiled import CompiledController
 from ddpc_controllers import Idle, Scaled
 from ddpc_controllers.export.code import Code, Exportable
-from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Sample, Variable
+from ddpc_cosim import (
+    Action,
+    Bounds,
+    ConfigError,
+    Controller,
+    ControllerCode,
+    FloatArray,
+    Footprint,
+    Loop,
+    Sample,
+    Variable,
+)
 
 
 @dataclass(kw_only=True)
@@ -86,6 +98,17 @@ def test_an_input_that_is_not_finite_is_held_and_told() -> None:
     before = c.step(sample)
     assert (c.step(lost)[0], c.status) == (before[0], 1)
     assert c.step(sample)[0] == before[0]
+
+
+@pytest.mark.parametrize("code_of", [Mixed.c_code, Mixed.loadable_c_code])
+def test_its_footprint_is_what_there_is_to_count(code_of: Callable[[Mixed, Loop], ControllerCode]) -> None:
+    controller, loop = Mixed(), a_loop()
+    controller.start(loop)
+    remembered = 2 + 3 * 2 + 2  # what is measured, the references of three samples, the last inputs
+    constants = 2 + 2 + remembered  # lower and upper limits, and what the memory begins with
+    code = code_of(controller, loop)
+    assert code.footprint == Footprint(8 * constants, 8 * remembered + 16)
+    assert "constants take 112 bytes, each ControllerState 96," in code.sources["controller.h"]
 
 
 def test_idle_rests() -> None:

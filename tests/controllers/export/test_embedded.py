@@ -1,5 +1,6 @@
 """The C code as embedded code: analysed, without a heap, without data of its own that change."""
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -59,6 +60,12 @@ CONTROLLERS: dict[str, tuple[Bench | Regulated, Controller]] = {
 # What the code may take from a C library: no heap, no files, nothing that ends a process.
 ALLOWED = {"memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_"}
 ALLOWED |= {"exp", "fabs", "floor", "fmax", "fmin", "hypot", "log", "log10", "pow", "sqrt"}
+_PROBE = """#include <stdio.h>
+#include "controller.h"
+int main(void) { printf("%u", (unsigned)sizeof(ControllerState)); return 0; }
+"""
+_DOUBLE = r"= -?(?:\d+\.\d*(?:e[-+]\d+)?|\d+e[-+]\d+|INFINITY|NAN)(?=[,}])"
+"""A member of a structure that is a number, and no count."""
 
 
 @cache
@@ -107,6 +114,26 @@ def test_it_takes_nothing_from_the_c_library_but_mathematics(name: str, tmp_path
     # Data that can change, of a file's own or common: several controllers run side by side.
     assert not {kind: names for kind, names in kinds.items() if kind in "bBcCdDgGsS"}
     assert {"controller_start", "controller_step"} <= kinds["T"]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_its_footprint_is_what_the_compiler_makes_of_it(name: str, tmp_path: Path) -> None:
+    written(name, tmp_path)
+    code = code_of(name)
+    assert code.footprint
+    probe = tmp_path / "probe.c"
+    probe.write_text(_PROBE, encoding="utf-8")
+    tool("cc", *STRICT, "-o", tmp_path / "probe", probe)
+    assert int(tool(str(tmp_path / "probe"))) == code.footprint.state
+
+    text, compiled = code.sources["controller.c"], tmp_path / "controller.o"
+    tool("cc", "-std=c99", "-O0", "-fno-pic", "-fno-pie", "-c", "-o", compiled, tmp_path / "controller.c")
+    lines = [line.split() for line in tool("nm", "-P", "-t", "d", compiled).splitlines()]
+    sizes = {words[0]: int(words[3]) for words in lines if words[1] == "r"}
+    tables = sum(sizes[table] for table in re.findall(r"^static const double (\w+)\[", text, re.MULTILINE))
+    structures = re.findall(r"^static const \w+ \w+ = .*", text, re.MULTILINE)
+    members = sum(len(re.findall(_DOUBLE, structure)) for structure in structures)
+    assert tables + 8 * members == code.footprint.constants
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

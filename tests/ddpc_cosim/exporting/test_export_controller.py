@@ -138,6 +138,7 @@ def test_the_fmu_has_the_signals_of_the_loop_and_what_it_was_made_from(folder: P
     facts = facts_of(Path("winner.fmu"))
     assert facts["settings"] == {"gain": 6.0, "fails": False}
     assert facts["status"] == {"2": "clipped"}
+    assert facts["bytes"] is None  # a class of somebody else, whose code does not say
     assert (facts["controller"], facts["study"], facts["seed"]) == ("p", "small", 3)
     assert facts["sampling_time"] == 0.1
     assert "ddpc-cosim version" in facts["versions"]
@@ -167,7 +168,13 @@ def test_one_case_is_made_which_is_that_of_a_run(folder: Path, monkeypatch: pyte
     assert made == [("idle", "noisy")]
     resolved = read_study("small.toml").problem
     (case,) = cases_of(resolved, resolved.plant.built(), [4], "idle_noisy_seed4")
-    assert facts_of(Path("idle.fmu"))["case"] == case.id
+    facts = facts_of(Path("idle.fmu"))
+    assert facts["case"] == case.id
+    with zipfile.ZipFile("idle.fmu") as archive:
+        header = archive.read("sources/controller.h").decode()
+    assert (
+        "constants take {constants} bytes, each ControllerState {state},".format(**facts["bytes"]) in header
+    )
 
 
 def test_it_computes_what_the_controller_of_the_case_computes(folder: Path) -> None:
