@@ -1008,8 +1008,7 @@ def cases_of_problem(
                 late=resolved.late.get(controller, ""),
                 spread=_spread(resolved, scenario),
             )
-            run_with = run_seeds[: 1 if section.seeds == "first" else None]
-            named = [(seed, case.name_with(seed)) for seed in run_with]
+            named = [(seed, case.name_with(seed)) for seed in section.seeds_of(run_seeds)]
             chosen = [
                 (seed, called)
                 for seed, called in named

@@ -464,17 +464,16 @@ def _tuned_study(
         controllers = dict(resolved_study.study.controllers)
         for (of, name), tried in trials.items():
             if of == problem:
-                chosen = tried[best(tried)].settings
+                chosen, section = tried[best(tried)].settings, controllers[name]
                 how = TunedSection(
                     settings=list(chosen),
                     trials=request.trials,
-                    seeds=request.seeds,
+                    seeds=section.seeds_of(request.seeds),
                     by=request.by,
                     source=request.command,
                     sampler_seed=request.sampler_seed,
                     at_ends=at_ends[of, name],
                 )
-                section = controllers[name]
                 settings = with_settings(section.settings, chosen)
                 controllers[name] = replace(section, settings=settings, tuned=how)
         problems[problem] = replace(resolved_study.study, controllers=controllers)

@@ -787,6 +787,10 @@ class ControllerSection(Section):
     variant_of: str = setting("", doc="the controller whose sweep this one is part of")
     varied: list[str] = setting([], doc="settings in which it differs from that controller")
 
+    def seeds_of(self, seeds: Sequence[int]) -> list[int]:
+        """Return the seeds that it is run with where these are asked for."""
+        return list(seeds[: 1 if self.seeds == "first" else None])
+
     @classmethod
     def with_names(cls, table: dict[str, Any], change: ChangeName) -> dict[str, Any]:
         """Return it with the names of files and plants changed that its settings are."""

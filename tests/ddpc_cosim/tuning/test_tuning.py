@@ -460,6 +460,16 @@ def test_settings_that_the_study_asks_for_are_tried_first(tmp_path: Path) -> Non
             tuned(tmp_path / "wrong", text.replace("{ gain = 1.25 }", wrong))
 
 
+def test_who_runs_with_the_first_seed_alone_is_said_to_have_been_tuned_on_it(tmp_path: Path) -> None:
+    text = STUDY.replace("[controllers.b]", '[controllers.b]\nseeds = "first"')
+    text += '[report]\nreference_points = { zero = "rest", full = "b" }\n'
+    tuned(tmp_path, text, Request(trials=3, seeds=[4, 5], compares=False))
+    controllers = read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers
+    seeds = {name: section.tuned.seeds for name, section in controllers.items() if section.tuned}
+    assert seeds == {"a": [4, 5], "b": [4]}
+    assert {(row["controller"], row["runs"]) for row in trials_of(tmp_path)} >= {("a", "2"), ("b", "1")}
+
+
 def test_without_a_comparison_there_are_trials_alone(tmp_path: Path) -> None:
     tuning = tuned(tmp_path, request=Request(trials=3, seeds=[4], compares=False))
     assert (tuning.results, tuning.held_out) == (None, {})
