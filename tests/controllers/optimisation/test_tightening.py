@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from ddpc_controllers import MPC, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC
+from ddpc_controllers import MPC, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC, SelectDPC
 from ddpc_controllers.optimisation.tightening import OnlineMargins, margins_of, tightened
 from ddpc_cosim import Bounds, ConfigError, Controller, DataError, FloatArray, Loop, Recording, Sample
 from ddpc_cosim.controller import Action
@@ -334,7 +334,19 @@ def share_at_a_new_place(controller: Controller, off: float = 0.12, samples: int
     return kept / samples
 
 
-@pytest.mark.parametrize("method", [DeePC, SPC, GammaDDPC, WKPC])
+@pytest.mark.parametrize(
+    "method",
+    [
+        DeePC,
+        SPC,
+        GammaDDPC,
+        WKPC,
+        SelectDPC,
+        partial(DeePC, online_data="forgetting"),
+        partial(DeePC, apply_steps=2),
+        partial(DeePC, regulariser="ridge"),
+    ],
+)
 def test_a_load_that_the_recording_does_not_have_is_in_the_online_margins(method: Any) -> None:
     promised = partial(method, satisfaction=0.95)
     assert share_at_a_new_place(promised(online_margins=False)) < 0.8
