@@ -48,8 +48,8 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_li
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, Law, action, make_law, predicted_ends
-from ddpc_controllers.optimisation.tightening import Promise, without_present
-from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
+from ddpc_controllers.optimisation.tightening import MARGINS, OnlinePromise
+from ddpc_controllers.optimisation.tracking import LIMITED, TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
@@ -73,7 +73,7 @@ _UNEXPLAINED = 0.3
 
 
 @dataclass(kw_only=True)
-class BehavioralTracking(Promise, Foresight, ScaledSignals):
+class BehavioralTracking(OnlinePromise, Foresight, ScaledSignals):
     """Predict with recorded windows, track the reference; a subclass says how windows are combined.
 
     What a subclass sets, in the order of the calls:
@@ -179,14 +179,21 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
             controlled=self._method_loop.controlled,
             units=(self._scales.u, self._scales.y, self._scales.d),
         )
+        margins = self._margins = self._drawn_in_by(loop, self.horizon, int(self.use_current_output))
+        self._following = margins.online if margins else None
+        opens = self._following and self._leaves_outputs_open
+        self._limited_by = predict_all_at_once(data, self.horizon * p) if opens else None
         windows = {
             "u_ini": (self.initial_length, m),
             "y_ini": (self._past_outputs, p),
             "r": (self.horizon, p),
+            **(margins.windows if margins else {}),
         }
         self._parameters = ParameterVector(windows | self._outlook.windows)
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
+        if self._following:
+            problem.ask(**{"y" if self._limited_by is None else LIMITED: self.horizon * p})
         problem.ask(y=-p)
         self._ends = predicted_ends(loop.outputs)
         self._learner = self._make_learner(problem, data, loop, recording)
@@ -208,6 +215,8 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         self._forecast, self._info = recording.y[-1], NO_INFO
         self._resting: bool = samples_before(loop, 1) is None
         self._pending: list[FloatArray] = []
+        if self._following:
+            self._following.begin()
         self._fill_past(loop, recording)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
@@ -222,6 +231,8 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
             self._resting = False
         elif self.use_current_output:
             parameters.append("y_ini", self._known(y) if missing else y)
+        if self._following:
+            self._following.measured(y)
         u, fault = self._continue_plan(sample) if self._pending else self._plan(sample)
         parameters.append("u_ini", u)
         if not self.use_current_output:
@@ -233,6 +244,8 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
 
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the window and the law."""
+        if self._margins:
+            self._margins.require_fixed()
         code.kernel("window")
         steps, limits, outlook = self.apply_steps, self._limits.tables(), self._outlook
         law = add_law(code, self._law, self._planned[1], outlook.moves_inputs)
@@ -288,6 +301,11 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         """Return the law that solves the problem online."""
         online = self._learner.data if self._learner else None
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
+
+    @property
+    def _leaves_outputs_open(self) -> bool:
+        """Whether planned outputs may be others than the least-squares prediction, at a cost."""
+        return False
 
     @property
     def _has_predictor(self) -> bool:
@@ -414,9 +432,6 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
             terminal_length=self.initial_length if self.terminal_equality else 0,
             soft_output_bounds=self.soft_output_bounds,
         )
-        margins = self._drawn_in_by(loop, self.horizon)
-        if not self.use_current_output:
-            margins = without_present(margins)
         sizes = self._parameters.sizes
         past = {"u_ini": sizes["u_ini"], "y_ini": sizes["y_ini"]} | ({"sum_g": 1} if self._sums_g else {})
         disturbed = {D: sizes[D]} if D in sizes else {}
@@ -433,7 +448,8 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
             prefer_rest=prefer_rest,
             future_slack=future_slack,
             outlook=self._outlook,
-            margins=margins,
+            margins=self._margins,
+            predictor=self._limited_by,
         )
 
     def _plan(self, sample: Sample) -> tuple[FloatArray, str]:
@@ -443,11 +459,16 @@ class BehavioralTracking(Promise, Foresight, ScaledSignals):
         self._outlook.fill(parameters, sample)
         if self._outlook.moves_inputs:
             self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
+        following = self._following
+        if following:
+            parameters.fill(MARGINS, following.values)
         answer, fault = self._law.solve(parameters.array)
         if answer is None:
             self._info = NO_INFO
             return parameters.window("u_ini")[-1].copy(), fault
         planned, forecast = self._planned
+        if following:
+            following.predicted(answer[forecast : forecast + following.values.shape[1]])
         self._forecast = answer[planned:forecast]
         self._info = self._law.info(self._ends, answer, self._scales.y)
         if self._applies_answer:
@@ -567,6 +588,10 @@ class DeePC(OnlineSettings, BehavioralTracking):
     @property
     def _sums_g(self) -> bool:
         return self.affine_sum != "none"
+
+    @property
+    def _leaves_outputs_open(self) -> bool:
+        return not self._has_predictor
 
     def _write_down(self, loop: Loop) -> Problem:
         """Write down (8), the slack sigma_y = Y_p g - y_ini eliminated."""

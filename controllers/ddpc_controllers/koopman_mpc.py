@@ -381,6 +381,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         """Begin at rest, or where a running plant is."""
         self._disturbance, self._last_d = self._model.constant, np.zeros(len(loop.disturbances))
         self._predicted: FloatArray | None = None
+        self._predictor.begin()
         self._u = resting_input(loop)
         if loop.past and not loop.continues_recording:
             self._take_over(loop.past)

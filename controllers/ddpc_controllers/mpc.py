@@ -26,6 +26,7 @@ from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
 from ddpc_controllers.optimisation.outlook import ENDLESS, D, Outlook, expected_course
 from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NO_INFO, make_law, predicted_ends
+from ddpc_controllers.optimisation.tightening import MARGINS, Margins
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import Scales
 from ddpc_cosim import (
@@ -75,8 +76,8 @@ class Predictor:
         What one unit of each input and output of the model is.
     controlled : int
         How many of the outputs are controlled; the others are paid for.
-    margins : array, shape (N, p, 2), optional
-        By how much the limits of the outputs are drawn in.
+    margins : Margins, optional
+        By what the limits of the outputs are drawn in.
 
     Attributes
     ----------
@@ -101,7 +102,7 @@ class Predictor:
         loop: Loop,
         scales: Scales,
         controlled: int,
-        margins: FloatArray | None = None,
+        margins: Margins | None = None,
     ) -> None:
         n, m, p, n_d = len(a), b.shape[1], len(c), e.shape[1]
         self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
@@ -115,7 +116,10 @@ class Predictor:
         )
         known = {"x": (1, n), "u_ini": (1, m)}
         disturbed = {D: (settings.horizon + 1, n_d)} if n_d else {}
-        windows = {**known, "r": (settings.horizon, p), **disturbed, **self._outlook.windows}
+        self._margins = margins
+        self._following = margins.online if margins else None
+        of_margins = margins.windows if margins else {}
+        windows = {**known, "r": (settings.horizon, p), **of_margins, **disturbed, **self._outlook.windows}
         self._parameters = ParameterVector(windows)
         self._known_size = n + m + self._parameters.sizes["r"]
         past = {name: self._parameters.sizes[name] for name in (*known, *disturbed)}
@@ -133,9 +137,16 @@ class Predictor:
             margins=margins,
         )
         problem.ask(u=m)
+        if self._following:
+            problem.ask(y=settings.horizon * p)
         problem.ask(y=-p)
         data = trajectories(a, b, c, settings.horizon, e, f)
         self._law = make_law(problem, data, self._limits, make_backend(settings.backend), None)
+
+    def begin(self) -> None:
+        """Begin anew with another past."""
+        if self._following:
+            self._following.begin()
 
     def solve(self, state: FloatArray, last_input: FloatArray, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs, shape (m,), and why they are not the optimum, empty if they are.
@@ -155,11 +166,17 @@ class Predictor:
         self._look_ahead(self._parameters, sample)
         if self._outlook.moves_inputs:
             self._limits.move(sample.input_limits)
+        following = self._following
+        if following:
+            following.measured(sample.y)
+            self._parameters.fill(MARGINS, following.values)
         answer, fault = self._law.solve(self._parameters.array)
         if answer is None:
             self.info = NO_INFO
             return last_input.copy(), fault
         u = answer[: self._inputs]
+        if following:
+            following.predicted(answer[self._inputs : self._inputs + following.values.shape[1]])
         self.info = self._law.info(self._ends, answer, self._unit)
         self._limits.hold_changes(u[np.newaxis], last_input)
         return u, fault
@@ -173,6 +190,8 @@ class Predictor:
 
     def constant(self, code: Code) -> tuple[str, int]:
         """Add it to code in C; return its name, and how many numbers ``solve_predictor`` remembers."""
+        if self._margins:
+            self._margins.require_fixed()
         code.kernel("predictor")
         moving = self._outlook.moves_inputs
         law = add_law(code, self._law, self._inputs, moving)
@@ -242,6 +261,11 @@ class MPC(TrackingSettings, ModelBased):
             *(self, loop, self._scales, self._method_loop.controlled),
             self._drawn_in_by(loop, self.horizon),
         )
+
+    def restart(self, loop: Loop) -> None:
+        """Begin anew with another past: the model and all that follows from it stay."""
+        super().restart(loop)
+        self._predictor.begin()
 
     @property
     def _ahead(self) -> Sequence[Span]:

@@ -48,7 +48,7 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem, sample_by_sample
 from ddpc_controllers.optimisation.qp import make_law
-from ddpc_controllers.optimisation.tightening import Promise, tightened
+from ddpc_controllers.optimisation.tightening import Promise
 from ddpc_controllers.scaling import SCALES, Predicted, ScaleBy, Scales
 from ddpc_controllers.wrapper import SingleWrapper, joined
 from ddpc_cosim import OK, Action, FloatArray, Integer, Loop, Sample, setting
@@ -179,7 +179,9 @@ class SafetyFilter(Promise, SingleWrapper):
             problem.equate({"y": _changes(n, self.initial_length, p)}, {}, _TERMINAL)
         problem.bound("u", bounds.u_min, bounds.u_max, name="u", moving=self._outlook.moving("u", bounds))
         moving = self._outlook.moving("y", bounds)
-        lower, upper, moving = tightened(bounds.y_min, bounds.y_max, self._margins, moving)
+        lower, upper = bounds.y_min, bounds.y_max
+        if self._margins:
+            lower, upper, moving = self._margins.draw_in(lower, upper, slice(None), moving)
         problem.bound("y", lower, upper, name="y", relaxed=self.excess_weight, moving=moving)
         return problem
 

@@ -167,5 +167,9 @@ class GammaDDPC(SPC):
         5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction", search=Log(1e-1, 1e4)
     )
 
+    @property
+    def _leaves_outputs_open(self) -> bool:
+        return not self._has_predictor
+
     def _betas(self) -> tuple[float, float]:
         return self.beta_2, self.beta_3

@@ -24,6 +24,7 @@ from ddpc_controllers.data.hankel import (
     signals_that_move,
     without_first,
 )
+from ddpc_controllers.data.instruments import predict_all_at_once
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
 from ddpc_controllers.export.code import ALL_AHEAD, Code
@@ -33,8 +34,8 @@ from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NO_INFO, action, make_law, predicted_ends
-from ddpc_controllers.optimisation.tightening import Promise, without_present
-from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
+from ddpc_controllers.optimisation.tightening import MARGINS, OnlinePromise
+from ddpc_controllers.optimisation.tracking import LIMITED, TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import ScaleAhead, ScaledSignals
 from ddpc_cosim import (
     Action,
@@ -54,7 +55,7 @@ _KEPT_SMALL = 1e-3
 
 
 @dataclass(kw_only=True)
-class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
+class WKPC(OnlineSettings, OnlinePromise, Foresight, ScaledSignals):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
@@ -127,17 +128,21 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
         self._outlook = Outlook(
             loop, self, self.horizon, past=past, first=0, controlled=controlled, units=units
         )
+        self._data = self._stack(recording, lifted)
+        spans = Span(self.horizon - 1, "horizon"), Span(past, "initial_length")
+        test = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
+        self._judgement = judge("WKPC", recording, loop.outputs, spans, (test, self.horizon))
+        margins = self._margins = self._drawn_in_by(loop, self.horizon, first=0)
+        self._following = margins.online if margins else None
+        self._limited_by = predict_all_at_once(self._data, self.horizon * p) if self._following else None
         windows = {
             "z_ini": (past, lifted.shape[1]),
             "u_ini": (past, m),
             "y_ini": (past, p),
             "r": (self.horizon, p),
+            **(margins.windows if margins else {}),
         }
         self._parameters = ParameterVector(windows | self._outlook.windows)
-        self._data = self._stack(recording, lifted)
-        spans = Span(self.horizon - 1, "horizon"), Span(past, "initial_length")
-        test = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
-        self._judgement = judge("WKPC", recording, loop.outputs, spans, (test, self.horizon))
         self._problem = self._write_down(loop)
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._learner: Learner | None = None
@@ -179,6 +184,9 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
         self._outlook.fill(parameters, sample)
         if self._outlook.moves_inputs:
             self._limits.move(sample.input_limits / self._scales.u[:, np.newaxis])
+        if self._following:
+            self._following.measured(y)
+            parameters.fill(MARGINS, self._following.values)
         u, forecast, fault = self._solve()
         if missing:
             y = fill_missing(y, forecast)
@@ -200,6 +208,8 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
             return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), fault
         m, p = self._inputs, self._outputs
         u, forecast = answer[:m], answer[m : m + p]
+        if self._following:
+            self._following.predicted(answer[m + p : m + (1 + self.horizon) * p])
         self._info = self._law.info(self._ends, answer, self._scales.y)
         if self._learner:
             self._learner.add_dither(u)
@@ -219,6 +229,8 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
         learner.learn(z=z, **signals)
 
     def _c_step(self, code: Code, loop: Loop) -> str:
+        if self._margins:
+            self._margins.require_fixed()
         code.kernel("wkpc")
         m, p, q, n = (
             self._inputs,
@@ -333,7 +345,8 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
             sizes,
             known={name: self._outlook.course if name == D else name for name in past},  # (10)
             outlook=self._outlook,
-            margins=without_present(self._drawn_in_by(loop, self.horizon)),
+            margins=self._margins,
+            predictor=self._limited_by,
         )
         if self.regulariser == "ridge":
             problem.regularise(self.lambda_g)
@@ -341,6 +354,8 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
             above = dict.fromkeys((*past, "u"), _KEPT_SMALL * self.lambda_g)
             problem.regularise({**above, "y": self.lambda_g})
         problem.ask(u=len(loop.inputs), y=len(loop.outputs))
+        if self._following:
+            problem.ask(**{LIMITED: sizes["r"]})
         problem.ask(y=-len(loop.outputs))
         return problem
 
@@ -352,6 +367,8 @@ class WKPC(OnlineSettings, Promise, Foresight, ScaledSignals):
     def _begin(self, loop: Loop, recording: Recording) -> None:
         """Fill the past: with the samples before the first, or with rest as far as it is known yet."""
         lifted, self._info = self._recorded, NO_INFO
+        if self._following:
+            self._following.begin()
         self._last.take(self._recent[-1])
         self._states = StateWindow(self._recent)
         before, past = (

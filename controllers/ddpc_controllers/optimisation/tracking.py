@@ -11,7 +11,7 @@ from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName
 from ddpc_controllers.optimisation.outlook import BAND, PRICE, Foresight, Outlook
 from ddpc_controllers.optimisation.problem import BAND_OF_Y, Blocks, Problem, sample_by_sample
-from ddpc_controllers.optimisation.tightening import Promise, tightened
+from ddpc_controllers.optimisation.tightening import Margins, OnlinePromise
 from ddpc_cosim import (
     Bounds,
     Factor,
@@ -32,12 +32,14 @@ _ADVICE = (
     "change_weight where there is one"
 )
 _BESIDE = ("y_above", "y_below")
+LIMITED = "y_limited"
+"""Predicted outputs that are limited, where those of the data rows are not what is promised of."""
 _TERMINAL, _OUTPUTS = 1e2, 1e4
 """Weights of what gives way where nothing else helps, in parts of the largest weight."""
 
 
 @dataclass(kw_only=True)
-class TrackingSettings(Promise, Foresight):
+class TrackingSettings(OnlinePromise, Foresight):
     """What a predictive controller minimises, in the terms of (8) and (11)."""
 
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(3, 20))
@@ -61,6 +63,11 @@ class TrackingSettings(Promise, Foresight):
         (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
     )
     backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
+    online_margins: bool = setting(
+        False,
+        doc="with satisfaction, draw limits in by the errors of the last predictions in the loop too, where "
+        "these are larger; otherwise held-out samples alone tell, and the disturbance that is estimated",
+    )
 
     def tracking_faults(self) -> list[str]:
         """Return how the settings contradict each other."""
@@ -89,7 +96,8 @@ def tracking_problem(
     prefer_rest: bool = False,
     future_slack: float = 0.0,
     outlook: Outlook | None = None,
-    margins: FloatArray | None = None,
+    margins: Margins | None = None,
+    predictor: FloatArray | None = None,
 ) -> Problem:
     """Write down cost, terminal condition and bounds.
 
@@ -135,9 +143,13 @@ def tracking_problem(
     outlook : Outlook, optional
         Bands, moving limits and prices, whose windows are among the parameters. Disturbances are rows of
         ``past`` and equal a parameter, which ``known`` says. Default: there are none.
-    margins : array, shape (N, p, 2), optional
-        By how much the limits of predicted outputs are drawn in, lower and upper, and those of the artificial
-        setpoint by that of the horizon's end; default: not at all.
+    margins : Margins, optional
+        By what the limits of predicted outputs are drawn in, and those of the artificial setpoint by that of
+        the horizon's end; its windows are among the parameters. Default: not at all.
+    predictor : array, shape (N p, rows above those of y), optional
+        What the limited outputs are predicted by of the rows above, where a regulariser leaves those of the
+        data rows open: drawn in further, their limits would move these and not the inputs. Default: it is
+        those of the data rows that are limited.
 
     Raises
     ------
@@ -162,7 +174,13 @@ def tracking_problem(
     future_y = "y_slackened" if future_slack else "y"
     if future_slack:
         free[future_y] = n * p
+    if predictor is not None:
+        free[LIMITED] = n * p
     problem = Problem({**past, "u": n * m, "y": n * p}, free, parameters)
+    if predictor is not None:
+        ends = np.cumsum([*past.values()])
+        above = zip([*past, "u"], np.split(-predictor, ends, axis=1), strict=True)
+        problem.equate({LIMITED: np.eye(n * p), **dict(above)}, {})
     for row, value in known.items():
         rows = np.eye(past[row])
         problem.equate({row: rows}, {value: rows} if isinstance(value, str) else value)
@@ -200,7 +218,8 @@ def tracking_problem(
         if settings.terminal_length and setpoint in free:  # the horizon's end is at the setpoints
             last = slice(-settings.terminal_length * held.shape[1], None)
             problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {}, _TERMINAL * largest)
-    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest, outlook, margins)
+    limited = future_y if predictor is None else LIMITED
+    _bound_signals(problem, settings, bounds, limited, _OUTPUTS * largest, outlook, margins)
     if outlook:
         _hold_in_bands(problem, outlook, in_bands, np.diag(q), future_y)
         _pay(problem, outlook, {"u": m, "y": p}, future_y)
@@ -215,10 +234,10 @@ def _bound_signals(
     problem: Problem,
     settings: TrackingSettings,
     bounds: Bounds,
-    future_y: str,
+    limited: str,
     relaxed: float,
     outlook: Outlook | None,
-    margins: FloatArray | None,
+    margins: Margins | None,
 ) -> None:
     """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
@@ -238,13 +257,13 @@ def _bound_signals(
             problem.penalise(settings.soft_output_bounds * np.eye(len(lower)), excess, {})
         if name in problem.rows or name in problem.free:
             gives_way = relaxed if name in ("y", "y_s") and not excess else 0.0
-            variable = future_y if name == "y" else name
+            variable = limited if name == "y" else name
             moving = outlook.moving(name, bounds) if outlook else None
             if moving and name.endswith("_s"):
                 moving = _mixed(moving, lower, upper, margin)
             if margins is not None and name[0] == "y":
-                of_samples = margins if name == "y" else margins[-1:]
-                lower, upper, moving = tightened(lower, upper, of_samples, moving)
+                samples = slice(None) if name == "y" else slice(-1, None)
+                lower, upper, moving = margins.draw_in(lower, upper, samples, moving)
             problem.bound(variable, lower, upper, excess, name, gives_way, moving)
 
 
