@@ -441,9 +441,9 @@ class Code:
             looks.append(self.ahead.limits(self, 1, low).rstrip())
         else:
             low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
-        start = resting = self.doubles(self.start)
+        start = resting = self._filling(self.start, apart=apart)
         if self.follows and rest is not None:
-            resting = self.doubles([*rest, *self.start[own:]])
+            resting = self._filling([*rest, *self.start[own:]], apart=apart)
         further = further_arguments(loop, horizon)
         sizes = {
             "MEASUREMENTS": p + len(others),
@@ -474,7 +474,9 @@ class Code:
             functions[_STEP].insert(2, f"{follows}[0] = 0.0;")
             functions[_FOLLOW] = [
                 *begin,
-                f"if ({follows}[0] == 0.0) memcpy(memory, {resting}, sizeof(state->memory));",
+                f"if ({follows}[0] == 0.0) {{",
+                *(f"    {line}" for line in resting),
+                "}",
                 f"{follows}[0] = 1.0;",
                 f"if (take_applied(y, {seen}, {p + len(others)}, u, {applied}, {m}, &told)) {{",
                 *(f"    {line}" for line in body(seen, applied)),
@@ -494,7 +496,7 @@ class Code:
             "\n".join(f'#include "{name}"' for name in includes)
             + "\n\n#include <math.h>\n#include <stddef.h>\n#include <string.h>",
             *self.texts(apart=apart),
-            _START.format(table=start),
+            _START.format(filling="\n    ".join(start)),
             *(
                 f"{head}\n{{\n" + "\n".join(f"    {line}" for line in lines) + "\n}"
                 for head, lines in functions.items()
@@ -526,6 +528,25 @@ class Code:
             np.concatenate([np.empty(0), *(part.numbers for part in loaded)]),
             footprint,
         )
+
+    def _filling(self, values: Sequence[float], *, apart: bool) -> list[str]:
+        """Return statements that give the memory its first values.
+
+        What a step works in begins with zeros, of which a target needs no copy among its constants. Where
+        numbers stand apart, the statements are the same whichever they are.
+        """
+        size = f"{len(values)} * sizeof(double)"
+        if apart:
+            return [f"memcpy(memory, {self.doubles(values)}, {size});"]
+        numbers = np.array(values, dtype=np.float64)
+        filled = np.flatnonzero(numbers.view(np.int64))  # -0.0 is none of the zeros
+        lines = [f"memset(memory, 0, {size});"]
+        for part in np.split(filled, np.flatnonzero(np.diff(filled) > _FEW_ZEROS) + 1):
+            if part.size:
+                first, end = int(part[0]), int(part[-1]) + 1
+                table = self.doubles(numbers[first:end])
+                lines.append(f"memcpy(memory + {first}, {table}, {end - first} * sizeof(double));")
+        return lines
 
     def texts(self, *, apart: bool = False) -> list[str]:
         """Return the parts as C has them; apart: numbers are yet to be filled in."""
@@ -600,9 +621,11 @@ _LOADS = """
 void controller_load(const double numbers[]);
 """
 
+_FEW_ZEROS = 8  # between other numbers: a statement to leave them out takes as much
 _START = """void controller_start(ControllerState *state)
 {{
-    memcpy(state->memory, {table}, sizeof(state->memory));
+    double *const memory = state->memory;
+    {filling}
     state->status = state->iterations = state->active_bounds = 0;
 }}"""
 
