@@ -34,6 +34,8 @@ Knowledge = Literal["unknown", "measured", "low", "medium", "high", "perfect"]
 _LEAD_TIME = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*\[?(?P<unit>[a-z]*)\]?")
 _SHARE = {"low": 0.1, "medium": 0.25, "high": 0.5}
 _SUN_WITHIN = 0.2, 2.0
+_AT_ONCE = 64
+"""Samples whose forecasts are computed together."""
 _ROUNDED = 1e-6
 """In parts of the sampling time: by how much times that are equal may differ."""
 
@@ -278,18 +280,32 @@ class _ForetoldByHour(Forecasts):
     def __init__(
         self, truth: FloatArray, errors: FloatArray, times: RunTimes, within: tuple[float, float] | None
     ) -> None:
-        self._truth, self._errors, self._times, self._within = truth, errors, times, within
-        self._lead = np.arange(len(errors), dtype=np.float64)
+        self._truth, self._errors, self._samples = truth, errors.T, times.samples
+        self._hours = np.arange(len(truth)) * (times.step / HOUR)
+        self._within = within and (within[0] * truth, within[1] * truth)
+        self._first, self._expected = 0, np.empty((0, 0))
 
     def after(self, k: int, samples: int) -> FloatArray:
-        truth = self._truth[k + 1 : k + 1 + samples]
-        hours = (k + np.arange(samples + 1)) * (self._times.step / HOUR)
-        issued = _whole_hours(hours[0])
-        expected: FloatArray = truth - np.interp(hours[1:] - issued, self._lead, self._errors[:, issued])
-        if self._within is None:
-            return expected
-        low, high = self._within
-        return np.asarray(np.clip(expected, low * truth, high * truth))
+        row = k - self._first
+        if not (0 <= row < len(self._expected) and samples == self._expected.shape[1]):
+            self._expected = self._expected_from(k, samples)
+            self._first, row = k, 0
+        expected: FloatArray = self._expected[row]
+        return expected
+
+    def _expected_from(self, k: int, samples: int) -> FloatArray:
+        """Return what is expected at sample k and some later ones, shape (n, samples): at once costs less."""
+        now = np.arange(k, min(k + _AT_ONCE, self._samples))
+        issued = np.array([[_whole_hours(hours)] for hours in self._hours[now].tolist()])
+        rows = now[:, np.newaxis] + np.arange(1, samples + 1)
+        lead = self._hours[rows] - issued
+        hour = lead.astype(np.intp)
+        before, after = self._errors[issued, hour], self._errors[issued, hour + 1]
+        expected: FloatArray = self._truth[rows] - ((after - before) * (lead - hour) + before)
+        if self._within is not None:
+            low, high = self._within
+            expected = np.minimum(np.maximum(expected, low[rows]), high[rows])
+        return expected
 
 
 class _Issued(Forecasts):
