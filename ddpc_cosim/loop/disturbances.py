@@ -1,5 +1,6 @@
 """The known disturbances of a loop: what acts, how it is measured, and what is expected of it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -82,6 +83,7 @@ class ActingDisturbances:
         places |= {variable.name: len(plant.outputs) + i for i, variable in enumerate(self.inputs)}
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in declared.values()]
+        self._longest_lag = max(self._lags, default=0)
         self.is_told = np.array([disturbance.is_known for disturbance in declared.values()], dtype=bool)
         self.told = tuple(self.sensed[place] for place in self.places[self.is_told])
 
@@ -180,10 +182,13 @@ class ActingDisturbances:
         """
         if not self.places.size:
             return _NONE
-        now = seen[self.places]
-        past = self._past
-        past.append(np.where(np.isnan(now), past[-1] if past else y[self.places], now))
-        del past[: -1 - max(self._lags)]
+        now, past = seen[self.places], self._past
+        if math.isnan(sum(now.tolist())):
+            now = np.where(np.isnan(now), past[-1] if past else y[self.places], now)
+        past.append(now)
+        del past[: -1 - self._longest_lag]
+        if not self._longest_lag:
+            return now
         return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
 
     def issues(self, horizon: int, samples: int) -> range:

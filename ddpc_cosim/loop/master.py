@@ -814,12 +814,14 @@ class _Rows:
         self._forecast = self.store.more.get("forecast")
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
-        self._intersample = None if keeps_seen else self.store.more.get("intersample")
         self._shift = np.zeros(len(setup.intersample))
+        between = None if keeps_seen else self.store.more.get("intersample")
+        self._intersample = None if between is None else between.reshape(len(time), -1, len(self._shift))
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
         self.outlook, count = outlook, len(self.time)
+        self._issues = self._setup.disturbances.issues(outlook.horizon, count)
         self.store.reference[:] = outlook.wish.reference[:count]
         price, emission = self._setup.charged.prices_at(self.time)
         inputs = len(self._setup.inputs)
@@ -866,7 +868,7 @@ class _Rows:
         """
         setup, store, outlook = self._setup, self.store, self.outlook
         measured = setup.measure(first + k, y_plant)
-        disturbance = measured.d[setup.disturbances.is_told] if measured.d.size else measured.d
+        disturbance = measured.d[setup.disturbances.is_told] if setup.disturbances.declared else measured.d
         if outlook.has_bands:
             store.reference[k] = outlook.nearest(k, measured.y)
         if disturbance.size:
@@ -888,35 +890,35 @@ class _Rows:
         return sample, measured
 
     def complete(
-        self, k: int, first: int, controller: Controller, measured: Measured, decision: Decision
+        self, k: int, first: int, measured: Measured, decision: Decision, *, controls_itself: bool
     ) -> FloatArray:
         """Complete row k with what was decided, and return what the plant is to hold until the next sample.
 
-        That is a value for each of its inputs.
+        That is a value for each of its inputs; some are left to a plant that controls itself.
         """
         setup, store = self._setup, self.store
         if measured.status:
             decision = decision.with_status(measured.status)
-        held = clip_inputs(decision, self.outlook.bounds(k))
+        held = clip_inputs(decision, *self.outlook.input_limits(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.amounts(controller, applied, measured.all_outputs)
+            store.more["charged"][k] = setup.charged.amounts(
+                applied, measured.all_outputs, controls_itself=controls_itself
+            )
         given = setup.actuators.changed(applied)
-        u = held.u if self._seen is not None else setup.commanded(controller, held.u)
+        u = setup.commanded(held.u) if controls_itself and self._seen is None else held.u
         store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
 
     def write_between(self, k: int, i: int, y_plant: FloatArray) -> None:
         """Keep the plant's outputs at the end of communication step i < n - 1 of those after sample k."""
         if self._intersample is not None:
-            count = len(self._shift)
-            values = y_plant[self._setup.intersample] + self._shift
-            self._intersample[k, i * count : (i + 1) * count] = values
+            self._intersample[k, i] = y_plant[self._setup.intersample] + self._shift
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
         """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
         assert self._forecast is not None
-        if k in self._setup.disturbances.issues(len(expected), len(self.time)):
+        if k in self._issues:
             rows = self._forecast[k + 1 : k + 1 + len(expected)]
             rows[:] = expected[: len(rows)]
 
@@ -982,8 +984,8 @@ def _run(
     pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
-    end = 0
-    for k, time in enumerate(rows.time):
+    end, steps, controls_itself = 0, setup.substeps, isinstance(controller, PlantControl)
+    for k, time in enumerate(rows.time.tolist()):
         if k < end:  # another engine has run it
             continue
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
@@ -994,12 +996,12 @@ def _run(
             continue
         sample, measured = rows.begin(k, first, y_plant)
         decision = yield controller, sample, inputs
-        applied = rows.complete(k, first, controller, measured, decision)
+        applied = rows.complete(k, first, measured, decision, controls_itself=controls_itself)
         if k < last or hold_last:
-            for i in range(setup.substeps):
+            for i in range(steps):
                 y_plant = step_plant(plant, applied, h, time + i * h)
                 require_finite(y_plant, plant)
-                if i + 1 < setup.substeps:
+                if i + 1 < steps:
                     rows.write_between(k, i, y_plant)
     return y_plant
 

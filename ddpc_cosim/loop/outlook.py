@@ -1,5 +1,6 @@
 """What is wanted, allowed, paid and expected over time, and how much of it controllers see at a sample."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -205,9 +206,13 @@ class Expected(NamedTuple):
 
     def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
         """Return what is expected to be measured at the samples after k, shape (samples, n_d)."""
-        expected = np.tile(measured, (samples, 1))
+        expected = np.empty((samples, len(measured)))
+        expected[:] = measured
         for i, (forecasts, lag) in enumerate(zip(self.forecasts, self.lags, strict=True)):
             if forecasts is None:
+                continue
+            if not lag:
+                expected[:, i] = forecasts.after(k, samples)
                 continue
             late, first = min(lag, samples), self.before + k + 1 - lag
             passed = self.truth[max(first, 0) : max(first + late, 0), i]
@@ -237,6 +242,8 @@ class Outlook:
 
     Attributes
     ----------
+    horizon : int
+        As given.
     has_bands : bool
         Whether an output is wanted within a band.
     """
@@ -252,42 +259,55 @@ class Outlook:
         preview: int,
     ) -> None:
         self.wish, self.limits, self.charges, self.price = wish, limits, charges, price
-        self._inputs, self._horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
-        self._ahead = np.minimum(np.arange(horizon + 1), preview)
+        self._inputs, self.horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
+        self._known = np.minimum(np.arange(horizon + 1), preview)
         self._expected = expected
-        self._bands = np.flatnonzero(wish.is_band)
-        self.has_bands = bool(self._bands.size)
-        at_first = slice(0, 1 + horizon) if self._sees_all else self._ahead
+        # Edges by output, each over all times in one piece of memory.
+        self._bands = [(i, *wish.band[:, i].T.copy()) for i in np.flatnonzero(wish.is_band).tolist()]
+        self.has_bands = bool(self._bands)
+        at_first = slice(0, 1 + horizon) if self._sees_all else self._known
         self._fixed_limits = None if limits.moving else self._limits(at_first)
-        self._secret = np.array([not charge.known for charge in charges], dtype=bool)
+        secret = np.array([not charge.known for charge in charges], dtype=bool)
+        self._secret = secret if secret.any() else None
         self._no_forecast, self._no_price = np.empty((horizon, 0)), np.empty((horizon + 1, 0))
         for table in (price, self._no_forecast, self._no_price):
             table.setflags(write=False)
 
-    def bounds(self, k: int) -> Bounds:
-        """Return the limits at sample k."""
+    def input_limits(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and upper limits of the inputs at sample k, both of shape (m,)."""
         limits = self.limits
         if not limits.moving:
-            return limits.bounds
-        (u_min, u_max), (y_min, y_max) = limits.table[k, : self._inputs].T, limits.table[k, self._inputs :].T
-        return Bounds(u_min, u_max, y_min, y_max)
+            return limits.bounds.u_min, limits.bounds.u_max
+        now = limits.table[k, : self._inputs]
+        return now[:, 0], now[:, 1]
 
     def nearest(self, k: int, y: FloatArray) -> FloatArray:
         """Return the reference at sample k, of a band its point nearest to the outputs y, shape (p,)."""
-        return self._nearest(y, self.wish.reference[k], self.wish.band[k])
+        reference: FloatArray = self.wish.reference[k].copy()
+        for i, lower, upper in self._bands:
+            if math.isfinite(value := y.item(i)):
+                reference[i] = min(max(value, lower.item(k)), upper.item(k))
+        return reference
+
+    def _nearest(self, rows: Any, y: FloatArray) -> FloatArray:
+        """Return the same in rows, shape (n, p); without y the middle of a band."""
+        reference: FloatArray = self.wish.reference[rows].copy()
+        for i, lower, upper in self._bands:
+            if math.isfinite(value := y.item(i)):
+                reference[:, i] = np.minimum(np.maximum(value, lower[rows]), upper[rows])
+        return reference
 
     def sample(
         self, k: int, time: float, y: FloatArray, measured: FloatArray, disturbance: FloatArray
     ) -> Sample:
         """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
-        rows: Any = slice(k, k + 1 + self._horizon) if self._sees_all else k + self._ahead
-        band, reference = self.wish.band[rows], self.wish.reference[rows]
+        rows: Any = slice(k, k + 1 + self.horizon) if self._sees_all else k + self._known
+        band = self.wish.band[rows]
+        reference = self._nearest(rows, y) if self.has_bands else self.wish.reference[rows]
         input_limits, output_limits = self._fixed_limits or self._limits(rows)
-        if self.has_bands:
-            reference = self._nearest(y, reference, band)
         forecast = self._no_forecast
         if disturbance.size:
-            forecast = self._expected.after(k, self._horizon, disturbance)
+            forecast = self._expected.after(k, self.horizon, disturbance)
             forecast.setflags(write=False)
         if not self._sees_all or self.has_bands:
             for array in (band, reference):
@@ -316,16 +336,8 @@ class Outlook:
 
     def _price(self, k: int) -> FloatArray:
         """Return the prices that are known at sample k, shape (horizon + 1, n_prices)."""
-        price = self.price[k : k + 1 + self._horizon]
-        if self._secret.any():
+        price = self.price[k : k + 1 + self.horizon]
+        if self._secret is not None:
             price = np.where(self._secret, price[0], price)
             price.setflags(write=False)
         return price
-
-    def _nearest(self, y: FloatArray, reference: FloatArray, band: FloatArray) -> FloatArray:
-        """Return references, shape (..., p), of bands their points nearest to y; without y their middle."""
-        reference = reference.copy()
-        for i in self._bands:
-            if np.isfinite(y[i]):
-                reference[..., i] = np.clip(y[i], band[..., i, 0], band[..., i, 1])
-        return reference

@@ -516,10 +516,8 @@ class LoopSetup:
         driven = {switch for name, switch in self._switches.items() if name not in left}
         return {switch: float(switch in driven) for switch in self._switches.values()}
 
-    def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
-        """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        if not isinstance(controller, PlantControl):
-            return u
+    def commanded(self, u: FloatArray) -> FloatArray:
+        """Return what is commanded where a plant controls itself, shape (m,): NaN of what is left to it."""
         return np.where(self._is_left[self._is_driven], np.nan, u)
 
     def taken_over(self, controller: Controller, past: Recording) -> tuple[Recording | None, tuple[str, ...]]:
@@ -550,9 +548,10 @@ class LoopSetup:
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
-        y = self._sensors.disturb(k, self.disturbances.with_inputs(k, y_plant))
-        seen, status = self._sensors.measure(k, y)
-        d = self.disturbances.measured(y, seen)
+        sensors, disturbances = self._sensors, self.disturbances
+        y = sensors.disturb(k, disturbances.with_inputs(k, y_plant))
+        seen, status = sensors.measure(k, y)
+        d = disturbances.measured(y, seen)
         controlled = y[self._outputs]
         as_seen = controlled if seen is y else seen[self._outputs]
         return Measured(controlled, as_seen, seen[self._measured], status, d, y)
