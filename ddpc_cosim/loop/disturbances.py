@@ -18,7 +18,6 @@ from ddpc_cosim.variables import FloatArray, names, unknown_names
 # Which stream of a seed errors of forecasts have: the others are those of loop.setup and of conditions.
 _FORECAST_STREAM = 10
 _MOST_ISSUES = 5
-_NONE: FloatArray = np.empty(0)
 """Moments of a run whose forecasts are kept with its samples."""
 
 
@@ -52,7 +51,7 @@ class ActingDisturbances:
         All outputs, and these inputs.
     places : array of int, shape (n,)
         Where among these each disturbance is measured.
-    is_told : array of bool, shape (n,)
+    told_places : array of int, shape (n_d,)
         Which of them controllers are told of.
     told : tuple of Variable
         These.
@@ -84,8 +83,8 @@ class ActingDisturbances:
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in declared.values()]
         self._longest_lag = max(self._lags, default=0)
-        self.is_told = np.array([disturbance.is_known for disturbance in declared.values()], dtype=bool)
-        self.told = tuple(self.sensed[place] for place in self.places[self.is_told])
+        self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
+        self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
 
     def _given_signals(
         self, plant: Plant, conditions: Conditions, recorded: Mapping[str, Reference]
@@ -170,7 +169,7 @@ class ActingDisturbances:
 
     def with_inputs(self, k: int, y_plant: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, and after them the disturbances that are inputs."""
-        return np.concatenate([y_plant, self._courses[k]]) if self.inputs else y_plant
+        return np.concatenate([y_plant, self._courses[k]])
 
     def measured(self, y: FloatArray, seen: FloatArray) -> FloatArray:
         """Return them as measured, the last value in place of one that is missing, or late, shape (n,).
@@ -180,8 +179,6 @@ class ActingDisturbances:
         y, seen : array
             The outputs and these inputs, as they are and as sensors tell them.
         """
-        if not self.places.size:
-            return _NONE
         now, past = seen[self.places], self._past
         if math.isnan(sum(now.tolist())):
             now = np.where(np.isnan(now), past[-1] if past else y[self.places], now)

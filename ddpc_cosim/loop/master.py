@@ -811,7 +811,6 @@ class _Rows:
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
         self._seen_elsewhere: FloatArray | None = None
-        self._forecast = self.store.more.get("forecast")
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
         self._shift = np.zeros(len(setup.intersample))
@@ -821,7 +820,6 @@ class _Rows:
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
         self.outlook, count = outlook, len(self.time)
-        self._issues = self._setup.disturbances.issues(outlook.horizon, count)
         self.store.reference[:] = outlook.wish.reference[:count]
         price, emission = self._setup.charged.prices_at(self.time)
         inputs = len(self._setup.inputs)
@@ -836,8 +834,10 @@ class _Rows:
             tables["monitored_band"] = self._setup.monitored_band(self.time)
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
-        if self._forecast is not None:
-            self._forecast[:] = np.nan
+        self._issues = range(0)
+        if "forecast" in self.store.more:
+            self._issues = self._setup.disturbances.issues(outlook.horizon, count)
+            self.store.more["forecast"][:] = np.nan
 
     def run(self, controller: Controller, loop: Loop, y_plant: FloatArray, first: int) -> Run:
         """Return the run that is about to begin, for another engine."""
@@ -866,28 +866,33 @@ class _Rows:
 
         The sample is that of number ``first`` + k since the plant was set up.
         """
-        setup, store, outlook = self._setup, self.store, self.outlook
-        measured = setup.measure(first + k, y_plant)
-        disturbance = measured.d[setup.disturbances.is_told] if setup.disturbances.declared else measured.d
-        if outlook.has_bands:
-            store.reference[k] = outlook.nearest(k, measured.y)
-        if disturbance.size:
-            store.more["d"][k] = disturbance
+        measured = self._setup.measure(first + k, y_plant)
+        if self.store.more:
+            self._begin_further(k, measured, y_plant)
+        self.store.begin(k, measured.y, measured.measured)
+        if self._seen is not None:
+            self._seen.append((measured.seen.copy(), measured.d))
+        time = self.time.item(k)
+        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
+        if k in self._issues:
+            self._keep_forecast(k, sample.forecast)
+        return sample, measured
+
+    def _begin_further(self, k: int, measured: Measured, y_plant: FloatArray) -> None:
+        """Keep in row k of the further tables what was measured."""
+        setup, more = self._setup, self.store.more
+        if self.outlook.has_bands:
+            self.store.reference[k] = self.outlook.nearest(k, measured.y)
+        if measured.told.size:
+            more["d"][k] = measured.told
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
+            more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
         if self._intersample is not None:
             self._intersample[k] = np.nan
             # A disturbance of an output is held over the sampling interval.
             self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
-        store.begin(k, measured.y, measured.measured)
-        if self._seen is not None:
-            self._seen.append((measured.seen.copy(), measured.d))
-        sample = outlook.sample(k, self.time.item(k), measured.seen, measured.measured, disturbance)
-        if self._forecast is not None:
-            self._keep_forecast(k, sample.forecast)
-        return sample, measured
 
     def complete(
         self, k: int, first: int, measured: Measured, decision: Decision, *, controls_itself: bool
@@ -916,11 +921,9 @@ class _Rows:
             self._intersample[k, i] = y_plant[self._setup.intersample] + self._shift
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
-        """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
-        assert self._forecast is not None
-        if k in self._issues:
-            rows = self._forecast[k + 1 : k + 1 + len(expected)]
-            rows[:] = expected[: len(rows)]
+        """Keep what is expected of the samples after k in their rows."""
+        rows = self.store.more["forecast"][k + 1 : k + 1 + len(expected)]
+        rows[:] = expected[: len(rows)]
 
     def recording(self) -> Recording:
         """Return the rows as a recording, of all disturbances."""
