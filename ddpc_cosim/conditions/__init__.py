@@ -352,9 +352,10 @@ class Actuators:
 
     def apply(self, k: int, u: FloatArray) -> FloatArray:
         """Return what the plant holds from sample k on, shape (all inputs,), where u is commanded."""
-        u = u.copy()  # a plant may use its inputs up, a controller fill the same memory again
         if not self._changed.size:
-            return u
+            return u.copy()  # a plant may use its inputs up
+        if self._acting:
+            u = u.copy()  # what acts may keep it, while a controller fills the same memory again
         for effect in self._acting:
             u = effect.apply(k, u)
         if self._added is not None:

@@ -182,10 +182,11 @@ class ActingDisturbances:
         now, past = seen[self.places], self._past
         if math.isnan(sum(now.tolist())):
             now = np.where(np.isnan(now), past[-1] if past else y[self.places], now)
+        if not self._longest_lag:
+            self._past = [now]
+            return now
         past.append(now)
         del past[: -1 - self._longest_lag]
-        if not self._longest_lag:
-            return now
         return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
 
     def issues(self, horizon: int, samples: int) -> range:
@@ -228,4 +229,4 @@ class ActingDisturbances:
             seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
             rng = np.random.default_rng(seed)
             forecasts.append(disturbance.forecasts(variable, truth[first:, i], times, longest, rng))
-        return Expected(forecasts, lags, truth, first)
+        return Expected(forecasts, lags, truth, first, samples)

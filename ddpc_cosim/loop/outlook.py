@@ -15,6 +15,8 @@ from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import Band, Reference, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable
 
+_AT_ONCE = 64
+"""Samples whose forecasts are computed together."""
 Limit = float | Reference
 """A limit, or its course."""
 Wanted = Mapping[str, Reference | Band]
@@ -184,7 +186,7 @@ class Limits(NamedTuple):
         return cls(table, Bounds(low[:inputs], high[:inputs], low[inputs:], high[inputs:]), tuple(moving))
 
 
-class Expected(NamedTuple):
+class Expected:
     """What is expected of the disturbances in a run; see :class:`Outlook`.
 
     Parameters
@@ -197,29 +199,53 @@ class Expected(NamedTuple):
         What each was at the samples of a warm-up, and what it will be, NaN where that is not known.
     before : int
         B, the number of these samples before the first one of the run.
+    samples : int
+        K, those of the run.
     """
 
-    forecasts: Sequence[Forecasts | None]
-    lags: Sequence[int]
-    truth: FloatArray
-    before: int
+    def __init__(
+        self,
+        forecasts: Sequence[Forecasts | None],
+        lags: Sequence[int],
+        truth: FloatArray,
+        before: int,
+        samples: int,
+    ) -> None:
+        self._forecasts, self._truth, self._before, self._samples = forecasts, truth, before, samples
+        self._held = [i for i, one in enumerate(forecasts) if one is None]
+        self._late = [(i, lag) for i, lag in enumerate(lags) if lag and i not in self._held]
+        self._first, self._foretold = 0, np.empty((0, 0, 0))
 
     def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
-        """Return what is expected to be measured at the samples after k, shape (samples, n_d)."""
-        expected = np.empty((samples, len(measured)))
-        expected[:] = measured
-        for i, (forecasts, lag) in enumerate(zip(self.forecasts, self.lags, strict=True)):
-            if forecasts is None:
-                continue
-            if not lag:
-                expected[:, i] = forecasts.after(k, samples)
-                continue
-            late, first = min(lag, samples), self.before + k + 1 - lag
-            passed = self.truth[max(first, 0) : max(first + late, 0), i]
+        """Return what is expected to be measured at the samples after k, shape (samples, n_d), to be read."""
+        row = k - self._first
+        if not (0 <= row < len(self._foretold) and samples == self._foretold.shape[1]):
+            self._first, self._foretold, row = k, self._from_sample(k, samples), 0
+        foretold: FloatArray = self._foretold[row]
+        if not (self._held or self._late):
+            return foretold
+        expected = foretold.copy()
+        for i in self._held:
+            expected[:, i] = measured[i]
+        for i, lag in self._late:
+            late, first = min(lag, samples), self._before + k + 1 - lag
+            passed = self._truth[max(first, 0) : max(first + late, 0), i]
+            expected[:late, i] = measured[i]
             if passed.size and np.isfinite(passed).all():
                 expected[late - len(passed) : late, i] = passed
-            expected[late:, i] = forecasts.after(k, samples - late)
+            expected[late:, i] = foretold[: samples - late, i]
+        expected.setflags(write=False)
         return expected
+
+    def _from_sample(self, k: int, samples: int) -> FloatArray:
+        """Return what is foretold from k on, at some samples together, which costs less than one by one."""
+        count = min(_AT_ONCE, self._samples - k)
+        foretold = np.empty((count, samples, len(self._forecasts)))
+        for i, forecasts in enumerate(self._forecasts):
+            if forecasts is not None:
+                foretold[:, :, i] = forecasts.from_sample(k, count, samples)
+        foretold.setflags(write=False)  # controllers are handed views of it
+        return foretold
 
 
 class Outlook:
@@ -308,7 +334,6 @@ class Outlook:
         forecast = self._no_forecast
         if disturbance.size:
             forecast = self._expected.after(k, self.horizon, disturbance)
-            forecast.setflags(write=False)
         if not self._sees_all or self.has_bands:
             for array in (band, reference):
                 array.setflags(write=False)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ddpc_cosim.codec import Section, Size
 from ddpc_cosim.errors import ConfigError, DataError
@@ -34,8 +35,6 @@ Knowledge = Literal["unknown", "measured", "low", "medium", "high", "perfect"]
 _LEAD_TIME = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*\[?(?P<unit>[a-z]*)\]?")
 _SHARE = {"low": 0.1, "medium": 0.25, "high": 0.5}
 _SUN_WITHIN = 0.2, 2.0
-_AT_ONCE = 64
-"""Samples whose forecasts are computed together."""
 _ROUNDED = 1e-6
 """In parts of the sampling time: by how much times that are equal may differ."""
 
@@ -84,8 +83,8 @@ class Forecasts(ABC):
     """What is expected of one disturbance, over the samples of a run."""
 
     @abstractmethod
-    def after(self, k: int, samples: int) -> FloatArray:
-        """Return what is expected at sample k of the so many samples after it, shape (samples,)."""
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        """Return what is expected at samples from k on of those after each, shape (count, samples)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,9 +265,9 @@ class _Foretold(Forecasts):
     def __init__(self, truth: FloatArray, errors: FloatArray | None = None) -> None:
         self._truth, self._errors = truth, errors
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        truth = self._truth[k + 1 : k + 1 + samples]
-        return truth if self._errors is None else truth - self._errors[:samples, k]
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        truth = _windows(self._truth, k, count, samples)
+        return truth if self._errors is None else truth - self._errors[:samples, k : k + count].T
 
 
 class _ForetoldByHour(Forecasts):
@@ -280,32 +279,20 @@ class _ForetoldByHour(Forecasts):
     def __init__(
         self, truth: FloatArray, errors: FloatArray, times: RunTimes, within: tuple[float, float] | None
     ) -> None:
-        self._truth, self._errors, self._samples = truth, errors.T, times.samples
-        self._hours = np.arange(len(truth)) * (times.step / HOUR)
-        self._within = within and (within[0] * truth, within[1] * truth)
-        self._first, self._expected = 0, np.empty((0, 0))
+        self._truth, self._errors, self._within = truth, errors.T, within
+        self._hours: FloatArray = np.arange(len(truth), dtype=np.float64) * (times.step / HOUR)
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        row = k - self._first
-        if not (0 <= row < len(self._expected) and samples == self._expected.shape[1]):
-            self._expected = self._expected_from(k, samples)
-            self._first, row = k, 0
-        expected: FloatArray = self._expected[row]
-        return expected
-
-    def _expected_from(self, k: int, samples: int) -> FloatArray:
-        """Return what is expected at sample k and some later ones, shape (n, samples): at once costs less."""
-        now = np.arange(k, min(k + _AT_ONCE, self._samples))
-        issued = np.array([[_whole_hours(hours)] for hours in self._hours[now].tolist()])
-        rows = now[:, np.newaxis] + np.arange(1, samples + 1)
-        lead = self._hours[rows] - issued
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        issued = np.array([[_whole_hours(hours)] for hours in self._hours[k : k + count].tolist()])
+        lead = _windows(self._hours, k, count, samples) - issued
         hour = lead.astype(np.intp)
         before, after = self._errors[issued, hour], self._errors[issued, hour + 1]
-        expected: FloatArray = self._truth[rows] - ((after - before) * (lead - hour) + before)
-        if self._within is not None:
-            low, high = self._within
-            expected = np.minimum(np.maximum(expected, low[rows]), high[rows])
-        return expected
+        truth = _windows(self._truth, k, count, samples)
+        expected: FloatArray = truth - ((after - before) * (lead - hour) + before)
+        if self._within is None:
+            return expected
+        low, high = self._within
+        return np.asarray(np.clip(expected, low * truth, high * truth))
 
 
 class _Issued(Forecasts):
@@ -314,12 +301,13 @@ class _Issued(Forecasts):
     def __init__(self, issued: FloatArray, lead: FloatArray, values: FloatArray, times: RunTimes) -> None:
         self._issued, self._lead, self._values, self._times = issued, lead, values, times
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        times = self._times
-        now = times.start + k * times.step
-        row = self._latest(now)
-        lead = now - self._issued[row] + np.arange(1, samples + 1) * times.step
-        expected: FloatArray = np.interp(lead, self._lead, self._values[row])
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        times, expected = self._times, np.empty((count, samples))
+        for i in range(count):
+            now = times.start + (k + i) * times.step
+            row = self._latest(now)
+            lead = now - self._issued[row] + np.arange(1, samples + 1) * times.step
+            expected[i] = np.interp(lead, self._lead, self._values[row])
         return expected
 
     def fault(self, samples: int) -> str:
@@ -343,6 +331,11 @@ class _Issued(Forecasts):
 
     def _latest(self, now: float) -> int:
         return int(np.searchsorted(self._issued, now + _ROUNDED * self._times.step, side="right")) - 1
+
+
+def _windows(values: FloatArray, k: int, count: int, samples: int) -> FloatArray:
+    """Return the values of so many samples after each of those from k on, shape (count, samples)."""
+    return sliding_window_view(values[k + 1 : k + count + samples], samples)
 
 
 def _whole_hours(hours: float) -> int:
