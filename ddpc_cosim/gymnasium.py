@@ -5,7 +5,8 @@ seed has in ``ddpc-cosim run``. The problems of the built-in benchmark are regis
 ``ddpc_cosim/pendulum-v1``.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
@@ -272,8 +273,9 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         run, agent, k = self._run, self._agent, self._k
         if run is None:
             raise ConfigError("there is no episode: call reset() first")
-        if np.shape(action) != self._shape:
-            shape = f"shape {np.shape(action)}; needed: {self._shape}"
+        action = np.asarray(action)
+        if action.shape != self._shape:
+            shape = f"shape {action.shape}; needed: {self._shape}"
             raise ConfigError(f"action: {shape}: {', '.join(self.action_names)}")
         agent.action = action
         try:
@@ -375,7 +377,7 @@ class Agent(Controller):
 
     def __init__(self, horizon: int) -> None:
         self.horizon = horizon
-        self.action: Any = None
+        self.action: FloatArray = np.empty(0)
 
     def start(self, loop: Loop) -> None:
         """Keep what is known of the loop."""
@@ -383,7 +385,7 @@ class Agent(Controller):
 
     def step(self, sample: Sample) -> FloatArray:
         """Return the action, which has been chosen at this sample, shape (m,)."""
-        return np.asarray(self.action)
+        return self.action
 
 
 def _going_on(case: Case, state: Any) -> Case:
@@ -481,7 +483,13 @@ class _Costs:
             for name, share in per_sample.items():
                 errors[i] += weights.get((name, variable.name), 0.0) * share * factor
         self._money = weights.get(("money", ""), 0.0)
-        self._trace = no_samples(case, Outcome.COMPLETED, "")
+        trace = no_samples(case, Outcome.COMPLETED, "")
+        self._steps, between = trace.substeps, names(trace.intersample_signals)
+        held = names((*trace.inputs, *trace.changed_inputs))
+        self._charges = [
+            (i, charge.rate * trace.sampling_time, charge.signal in held, _columns_of(charge.signal, between))
+            for i, charge in enumerate(trace.charges)
+        ]
         self._squares = weights.get(("cost", ""), 0.0)
         if self._squares:
             self._rest = np.array(
@@ -524,15 +532,35 @@ class _Costs:
         return cost + (self.samples - held) * self._worst
 
     def _paid(self, k: int) -> float:
-        """Return what is paid from sample k to the next one."""
-        tables = {name: self._store.more[name][k : k + 2] for name in self._store.more}
-        rows = {name: getattr(self._store, name)[k : k + 2] for name in ("y", "measured", "u", "applied")}
-        begun = len(rows["y"]) if k + 1 < self._store.count else 1
-        cut = {name: table[:begun] for name, table in (rows | tables).items()}
-        outcome = Outcome.COMPLETED if begun > 1 else Outcome.TERMINATED
-        paid = replace(self._trace, time=np.empty(begun), outcome=outcome, **cut).paid
-        assert paid is not None
-        return paid.total(paid.price)
+        """Return what is paid from sample k to the next one, as the trace's metric has it."""
+        paid, tables = 0.0, self._store.more
+        price, charged = tables["price"].item, tables["charged"].item
+        for i, amount, is_held, between in self._charges:
+            mean = charged(k, i)
+            if not is_held:
+                values = [mean]
+                if between is not None:
+                    values += tables["intersample"][k, between].tolist()
+                if k + 1 < self._store.count:
+                    values.append(charged(k + 1, i))
+                mean = self._mean(values)
+            paid += price(k, i) * amount * mean
+        return paid
+
+    def _mean(self, values: list[float]) -> float:
+        """Return the mean of straight lines between values at communication steps, of which some are missing.
+
+        Where a fault has ended the interval the last one stays.
+        """
+        if math.isnan(sum(values)):
+            values = [value for value in values if not math.isnan(value)]
+        values += [values[-1]] * (self._steps + 1 - len(values))
+        return (sum(values) - (values[0] + values[-1]) / 2.0) / self._steps
+
+
+def _columns_of(signal: str, between: Sequence[str]) -> slice | None:
+    """Return where a signal stands in rows of what is read between samples; None: it is not."""
+    return slice(between.index(signal), None, len(between)) if signal in between else None
 
 
 def _register() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ _KINDS = {
 }
 _AHEAD = ("now", "at the next sample")
 _LIMITS = ("input_limits", "output_limits")
-"""The last of the further arguments."""
 
 
 class Observation:
@@ -51,11 +51,12 @@ class Observation:
 
     def __init__(self, loop: Loop, horizon: int) -> None:
         controlled = names(loop.outputs)
-        self._others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
+        others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
+        self._others = np.array(others, dtype=np.intp)
         self._preview = min(loop.preview, horizon)
         shapes = further_arguments(loop, horizon)
         self._further = [(name, shape[0]) for name, shape in shapes.items()]
-        self.measurements = (*loop.outputs, *(loop.measurements[i] for i in self._others))
+        self.measurements = (*loop.outputs, *(loop.measurements[i] for i in others))
         self.references = tuple(
             _ahead_of(variable, "reference" if k else "setpoint", k)
             for k in range(self._preview + 1)
@@ -63,28 +64,33 @@ class Observation:
         )
         self.further = tuple(further_signals(loop, horizon))
         every = (*self.measurements, *self.references, *self.further)
-        seen = np.ones(len(every), dtype=bool)
         # A limit that does not move says nothing, and what is infinite cannot be calculated with.
-        if limits := [
-            _seen_limits(loop, name, shape[0]) for name, shape in shapes.items() if name in _LIMITS
-        ]:
-            at_the_end = np.concatenate(limits)
-            seen[len(every) - len(at_the_end) :] = at_the_end
+        is_seen = {
+            name: _seen_limits(loop, name, shape[0]) if name in _LIMITS else np.ones(prod(shape), dtype=bool)
+            for name, shape in shapes.items()
+        }
+        first = np.ones(len(every) - len(self.further), dtype=bool)
+        self.variables = tuple(compress(every, np.concatenate([first, *is_seen.values()])))
+        self._further_seen = [(name, rows) for name, rows in self._further if is_seen[name].any()]
+        seen = np.concatenate([first, *(is_seen[name] for name, _ in self._further_seen)])
         self._seen = None if seen.all() else seen
-        self.variables = tuple(compress(every, seen))
 
     def of(self, sample: Sample) -> FloatArray:
         """Return them at a sample, in their units, shape (n,)."""
-        whole = self.with_all_limits(sample)
+        whole = self._numbers(sample, self._further_seen)
         return whole if self._seen is None else whole[self._seen]
 
     def with_all_limits(self, sample: Sample) -> FloatArray:
         """Return them with limits that do not move, infinite ones too, as code in C is given them."""
-        parts = [sample.y, sample.measured[self._others]] if self._others else [sample.y]
+        return self._numbers(sample, self._further)
+
+    def _numbers(self, sample: Sample, further: Sequence[tuple[str, int]]) -> FloatArray:
+        """Return them with so many rows of further fields of the sample."""
+        parts = [sample.y, sample.measured[self._others]] if self._others.size else [sample.y]
         parts.append(sample.setpoint)
         if self._preview:
             parts.append(sample.reference[: self._preview].ravel())
-        for name, rows in self._further:
+        for name, rows in further:
             parts.append(getattr(sample, name)[:rows].ravel())
         return np.concatenate(parts)
 

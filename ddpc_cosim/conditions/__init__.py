@@ -326,7 +326,8 @@ class Actuators:
     ) -> None:
         self._conditions, self._seed, self._rest = conditions, seed, rest
         all_names = names(inputs)
-        self._is_driven = np.array([name not in conditions.inputs for name in all_names], dtype=bool)
+        is_driven = np.array([name not in conditions.inputs for name in all_names], dtype=bool)
+        self._places = np.flatnonzero(is_driven), np.flatnonzero(~is_driven)
         self._driven = [variable for variable in inputs if variable.name not in conditions.inputs]
         self._others = [variable for variable in inputs if variable.name in conditions.inputs]
         self._effects = _effects("actuator", names(self._driven), conditions, (sampling_time, seed))
@@ -353,12 +354,15 @@ class Actuators:
         """Return what the plant holds from sample k on, shape (all inputs,), where u is commanded."""
         if not self._changed.size:
             return u.copy()  # a plant may use its inputs up
+        if self._acting:
+            u = u.copy()  # what acts may keep it, while a controller fills the same memory again
         for effect in self._acting:
             u = effect.apply(k, u)
         if self._added is not None:
             u = u + self._added[k]
-        applied = np.empty(len(self._is_driven))
-        applied[self._is_driven], applied[~self._is_driven] = u, self._own[k]
+        driven, others = self._places
+        applied = np.empty(len(driven) + len(others))
+        applied[driven], applied[others] = u, self._own[k]
         return applied
 
     def course(self, name: str) -> FloatArray:
@@ -371,8 +375,7 @@ class Actuators:
 
     def tables(self) -> "ActuatorTables":
         """Return what :meth:`apply` goes by in the run that has been started."""
-        driven, others = np.flatnonzero(self._is_driven), np.flatnonzero(~self._is_driven)
-        return ActuatorTables(driven, others, self._changed, self._acting, self._added, self._own)
+        return ActuatorTables(*self._places, self._changed, self._acting, self._added, self._own)
 
 
 @dataclass(frozen=True, slots=True)

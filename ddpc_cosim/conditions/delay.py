@@ -37,7 +37,10 @@ return past[(count + 1) % length];"""
         self._samples = np.array(
             [round(delay / setup.sampling_time) for delay in setup.values], dtype=np.intp
         )
-        self._columns = np.arange(len(self._samples))
+        length, columns = int(self._samples.max(initial=0)) + 1, np.arange(len(self._samples))
+        # Where in the memory of a row for each of so many samples, by the row of now, the delayed values are.
+        rows = (np.arange(length)[:, np.newaxis] - self._samples) % length
+        self._places = rows * len(columns) + columns
         self._count = 0
 
     def start(self, time: FloatArray, rest: FloatArray | None) -> None:
@@ -47,17 +50,17 @@ return past[(count + 1) % length];"""
             self._fill(rest)
 
     def _fill(self, values: FloatArray) -> None:
-        self._past = np.tile(values, (int(self._samples.max(initial=0)) + 1, 1))
+        self._past = np.tile(values, (len(self._places), 1))
 
     def apply(self, k: int, values: FloatArray) -> FloatArray:
         """Return the values of before, each signal's by its own number of samples."""
         if self._is_empty:
             self._fill(values)
             self._is_empty = False
-        length = len(self._past)
-        self._past[self._count % length] = values
-        delayed: FloatArray = self._past[(self._count - self._samples) % length, self._columns]
+        now = self._count % len(self._past)
+        self._past[now] = values
         self._count += 1
+        delayed: FloatArray = self._past.ravel()[self._places[now]]
         return delayed
 
     def in_c(self) -> tuple[FloatArray, FloatArray]:

@@ -74,10 +74,10 @@ def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[
             trace.reference[k].copy(),
             **_ahead(trace, rows, known, further),
         )
-        bounds = loop.bounds
+        limits = loop.bounds.u_min, loop.bounds.u_max
         if loop.moving_limits:
-            bounds = replace(bounds, u_min=trace.input_limits[k, :, 0], u_max=trace.input_limits[k, :, 1])
-        decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), bounds)
+            limits = trace.input_limits[k, :, 0], trace.input_limits[k, :, 1]
+        decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), *limits)
         told = Observation(loop, horizon).with_all_limits(sample)
         yield [int(begins), *told.tolist(), *decision.u.tolist(), int(decision.status != OK)]
 

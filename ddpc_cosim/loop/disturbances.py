@@ -1,5 +1,6 @@
 """The known disturbances of a loop: what acts, how it is measured, and what is expected of it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -17,7 +18,6 @@ from ddpc_cosim.variables import FloatArray, names, unknown_names
 # Which stream of a seed errors of forecasts have: the others are those of loop.setup and of conditions.
 _FORECAST_STREAM = 10
 _MOST_ISSUES = 5
-_NONE: FloatArray = np.empty(0)
 """Moments of a run whose forecasts are kept with its samples."""
 
 
@@ -51,7 +51,7 @@ class ActingDisturbances:
         All outputs, and these inputs.
     places : array of int, shape (n,)
         Where among these each disturbance is measured.
-    is_told : array of bool, shape (n,)
+    told_places : array of int, shape (n_d,)
         Which of them controllers are told of.
     told : tuple of Variable
         These.
@@ -82,8 +82,9 @@ class ActingDisturbances:
         places |= {variable.name: len(plant.outputs) + i for i, variable in enumerate(self.inputs)}
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in declared.values()]
-        self.is_told = np.array([disturbance.is_known for disturbance in declared.values()], dtype=bool)
-        self.told = tuple(self.sensed[place] for place in self.places[self.is_told])
+        self._longest_lag = max(self._lags, default=0)
+        self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
+        self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
 
     def _given_signals(
         self, plant: Plant, conditions: Conditions, recorded: Mapping[str, Reference]
@@ -168,7 +169,7 @@ class ActingDisturbances:
 
     def with_inputs(self, k: int, y_plant: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, and after them the disturbances that are inputs."""
-        return np.concatenate([y_plant, self._courses[k]]) if self.inputs else y_plant
+        return np.concatenate([y_plant, self._courses[k]])
 
     def measured(self, y: FloatArray, seen: FloatArray) -> FloatArray:
         """Return them as measured, the last value in place of one that is missing, or late, shape (n,).
@@ -178,12 +179,14 @@ class ActingDisturbances:
         y, seen : array
             The outputs and these inputs, as they are and as sensors tell them.
         """
-        if not self.places.size:
-            return _NONE
-        now = seen[self.places]
-        past = self._past
-        past.append(np.where(np.isnan(now), past[-1] if past else y[self.places], now))
-        del past[: -1 - max(self._lags)]
+        now, past = seen[self.places], self._past
+        if math.isnan(sum(now.tolist())):
+            now = np.where(np.isnan(now), past[-1] if past else y[self.places], now)
+        if not self._longest_lag:
+            self._past = [now]
+            return now
+        past.append(now)
+        del past[: -1 - self._longest_lag]
         return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
 
     def issues(self, horizon: int, samples: int) -> range:
@@ -226,4 +229,4 @@ class ActingDisturbances:
             seed = [self._seed, _FORECAST_STREAM, *variable.name.encode()]
             rng = np.random.default_rng(seed)
             forecasts.append(disturbance.forecasts(variable, truth[first:, i], times, longest, rng))
-        return Expected(forecasts, lags, truth, first)
+        return Expected(forecasts, lags, truth, first, samples)

@@ -811,11 +811,11 @@ class _Rows:
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
         self._seen_elsewhere: FloatArray | None = None
-        self._forecast = self.store.more.get("forecast")
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
-        self._intersample = None if keeps_seen else self.store.more.get("intersample")
         self._shift = np.zeros(len(setup.intersample))
+        between = None if keeps_seen else self.store.more.get("intersample")
+        self._intersample = None if between is None else between.reshape(len(time), -1, len(self._shift))
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
@@ -834,8 +834,10 @@ class _Rows:
             tables["monitored_band"] = self._setup.monitored_band(self.time)
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
-        if self._forecast is not None:
-            self._forecast[:] = np.nan
+        self._issues = range(0)
+        if "forecast" in self.store.more:
+            self._issues = self._setup.disturbances.issues(outlook.horizon, count)
+            self.store.more["forecast"][:] = np.nan
 
     def run(self, controller: Controller, loop: Loop, y_plant: FloatArray, first: int) -> Run:
         """Return the run that is about to begin, for another engine."""
@@ -864,61 +866,64 @@ class _Rows:
 
         The sample is that of number ``first`` + k since the plant was set up.
         """
-        setup, store, outlook = self._setup, self.store, self.outlook
-        measured = setup.measure(first + k, y_plant)
-        disturbance = measured.d[setup.disturbances.is_told] if measured.d.size else measured.d
-        if outlook.has_bands:
-            store.reference[k] = outlook.nearest(k, measured.y)
-        if disturbance.size:
-            store.more["d"][k] = disturbance
+        measured = self._setup.measure(first + k, y_plant)
+        if self.store.more:
+            self._begin_further(k, measured, y_plant)
+        self.store.begin(k, measured.y, measured.measured)
+        if self._seen is not None:
+            self._seen.append((measured.seen.copy(), measured.d))
+        time = self.time.item(k)
+        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
+        if k in self._issues:
+            self._keep_forecast(k, sample.forecast)
+        return sample, measured
+
+    def _begin_further(self, k: int, measured: Measured, y_plant: FloatArray) -> None:
+        """Keep in row k of the further tables what was measured."""
+        setup, more = self._setup, self.store.more
+        if self.outlook.has_bands:
+            self.store.reference[k] = self.outlook.nearest(k, measured.y)
+        if measured.told.size:
+            more["d"][k] = measured.told
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
+            more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
         if self._intersample is not None:
             self._intersample[k] = np.nan
             # A disturbance of an output is held over the sampling interval.
             self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
-        store.begin(k, measured.y, measured.measured)
-        if self._seen is not None:
-            self._seen.append((measured.seen.copy(), measured.d))
-        sample = outlook.sample(k, self.time.item(k), measured.seen, measured.measured, disturbance)
-        if self._forecast is not None:
-            self._keep_forecast(k, sample.forecast)
-        return sample, measured
 
     def complete(
-        self, k: int, first: int, controller: Controller, measured: Measured, decision: Decision
+        self, k: int, first: int, measured: Measured, decision: Decision, *, controls_itself: bool
     ) -> FloatArray:
         """Complete row k with what was decided, and return what the plant is to hold until the next sample.
 
-        That is a value for each of its inputs.
+        That is a value for each of its inputs; some are left to a plant that controls itself.
         """
         setup, store = self._setup, self.store
         if measured.status:
             decision = decision.with_status(measured.status)
-        held = clip_inputs(decision, self.outlook.bounds(k))
+        held = clip_inputs(decision, *self.outlook.input_limits(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.amounts(controller, applied, measured.all_outputs)
+            store.more["charged"][k] = setup.charged.amounts(
+                applied, measured.all_outputs, controls_itself=controls_itself
+            )
         given = setup.actuators.changed(applied)
-        u = held.u if self._seen is not None else setup.commanded(controller, held.u)
+        u = setup.commanded(held.u) if controls_itself and self._seen is None else held.u
         store.complete(k, u, held.status, held.seconds, given, held.info)
         return applied
 
     def write_between(self, k: int, i: int, y_plant: FloatArray) -> None:
         """Keep the plant's outputs at the end of communication step i < n - 1 of those after sample k."""
         if self._intersample is not None:
-            count = len(self._shift)
-            values = y_plant[self._setup.intersample] + self._shift
-            self._intersample[k, i * count : (i + 1) * count] = values
+            self._intersample[k, i] = y_plant[self._setup.intersample] + self._shift
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
-        """Keep what is expected of the samples after k in their rows, if k is a moment for that."""
-        assert self._forecast is not None
-        if k in self._setup.disturbances.issues(len(expected), len(self.time)):
-            rows = self._forecast[k + 1 : k + 1 + len(expected)]
-            rows[:] = expected[: len(rows)]
+        """Keep what is expected of the samples after k in their rows."""
+        rows = self.store.more["forecast"][k + 1 : k + 1 + len(expected)]
+        rows[:] = expected[: len(rows)]
 
     def recording(self) -> Recording:
         """Return the rows as a recording, of all disturbances."""
@@ -982,8 +987,8 @@ def _run(
     pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
-    end = 0
-    for k, time in enumerate(rows.time):
+    end, steps, controls_itself = 0, setup.substeps, isinstance(controller, PlantControl)
+    for k, time in enumerate(rows.time.tolist()):
         if k < end:  # another engine has run it
             continue
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
@@ -994,12 +999,12 @@ def _run(
             continue
         sample, measured = rows.begin(k, first, y_plant)
         decision = yield controller, sample, inputs
-        applied = rows.complete(k, first, controller, measured, decision)
+        applied = rows.complete(k, first, measured, decision, controls_itself=controls_itself)
         if k < last or hold_last:
-            for i in range(setup.substeps):
+            for i in range(steps):
                 y_plant = step_plant(plant, applied, h, time + i * h)
                 require_finite(y_plant, plant)
-                if i + 1 < setup.substeps:
+                if i + 1 < steps:
                     rows.write_between(k, i, y_plant)
     return y_plant
 

@@ -1,5 +1,6 @@
 """What is wanted, allowed, paid and expected over time, and how much of it controllers see at a sample."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import Band, Reference, in_unit_of, values_at
 from ddpc_cosim.variables import FloatArray, Variable
 
+_AT_ONCE = 64
+"""Samples whose forecasts are computed together."""
 Limit = float | Reference
 """A limit, or its course."""
 Wanted = Mapping[str, Reference | Band]
@@ -183,7 +186,7 @@ class Limits(NamedTuple):
         return cls(table, Bounds(low[:inputs], high[:inputs], low[inputs:], high[inputs:]), tuple(moving))
 
 
-class Expected(NamedTuple):
+class Expected:
     """What is expected of the disturbances in a run; see :class:`Outlook`.
 
     Parameters
@@ -196,25 +199,53 @@ class Expected(NamedTuple):
         What each was at the samples of a warm-up, and what it will be, NaN where that is not known.
     before : int
         B, the number of these samples before the first one of the run.
+    samples : int
+        K, those of the run.
     """
 
-    forecasts: Sequence[Forecasts | None]
-    lags: Sequence[int]
-    truth: FloatArray
-    before: int
+    def __init__(
+        self,
+        forecasts: Sequence[Forecasts | None],
+        lags: Sequence[int],
+        truth: FloatArray,
+        before: int,
+        samples: int,
+    ) -> None:
+        self._forecasts, self._truth, self._before, self._samples = forecasts, truth, before, samples
+        self._held = [i for i, one in enumerate(forecasts) if one is None]
+        self._late = [(i, lag) for i, lag in enumerate(lags) if lag and i not in self._held]
+        self._first, self._foretold = 0, np.empty((0, 0, 0))
 
     def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
-        """Return what is expected to be measured at the samples after k, shape (samples, n_d)."""
-        expected = np.tile(measured, (samples, 1))
-        for i, (forecasts, lag) in enumerate(zip(self.forecasts, self.lags, strict=True)):
-            if forecasts is None:
-                continue
-            late, first = min(lag, samples), self.before + k + 1 - lag
-            passed = self.truth[max(first, 0) : max(first + late, 0), i]
+        """Return what is expected to be measured at the samples after k, shape (samples, n_d), to be read."""
+        row = k - self._first
+        if not (0 <= row < len(self._foretold) and samples == self._foretold.shape[1]):
+            self._first, self._foretold, row = k, self._from_sample(k, samples), 0
+        foretold: FloatArray = self._foretold[row]
+        if not (self._held or self._late):
+            return foretold
+        expected = foretold.copy()
+        for i in self._held:
+            expected[:, i] = measured[i]
+        for i, lag in self._late:
+            late, first = min(lag, samples), self._before + k + 1 - lag
+            passed = self._truth[max(first, 0) : max(first + late, 0), i]
+            expected[:late, i] = measured[i]
             if passed.size and np.isfinite(passed).all():
                 expected[late - len(passed) : late, i] = passed
-            expected[late:, i] = forecasts.after(k, samples - late)
+            expected[late:, i] = foretold[: samples - late, i]
+        expected.setflags(write=False)
         return expected
+
+    def _from_sample(self, k: int, samples: int) -> FloatArray:
+        """Return what is foretold from k on, at some samples together, which costs less than one by one."""
+        count = min(_AT_ONCE, self._samples - k)
+        foretold = np.empty((count, samples, len(self._forecasts)))
+        for i, forecasts in enumerate(self._forecasts):
+            if forecasts is not None:
+                foretold[:, :, i] = forecasts.from_sample(k, count, samples)
+        foretold.setflags(write=False)  # controllers are handed views of it
+        return foretold
 
 
 class Outlook:
@@ -237,6 +268,8 @@ class Outlook:
 
     Attributes
     ----------
+    horizon : int
+        As given.
     has_bands : bool
         Whether an output is wanted within a band.
     """
@@ -252,43 +285,55 @@ class Outlook:
         preview: int,
     ) -> None:
         self.wish, self.limits, self.charges, self.price = wish, limits, charges, price
-        self._inputs, self._horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
-        self._ahead = np.minimum(np.arange(horizon + 1), preview)
+        self._inputs, self.horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
+        self._known = np.minimum(np.arange(horizon + 1), preview)
         self._expected = expected
-        self._bands = np.flatnonzero(wish.is_band)
-        self.has_bands = bool(self._bands.size)
-        at_first = slice(0, 1 + horizon) if self._sees_all else self._ahead
+        # Edges by output, each over all times in one piece of memory.
+        self._bands = [(i, *wish.band[:, i].T.copy()) for i in np.flatnonzero(wish.is_band).tolist()]
+        self.has_bands = bool(self._bands)
+        at_first = slice(0, 1 + horizon) if self._sees_all else self._known
         self._fixed_limits = None if limits.moving else self._limits(at_first)
-        self._secret = np.array([not charge.known for charge in charges], dtype=bool)
+        secret = np.array([not charge.known for charge in charges], dtype=bool)
+        self._secret = secret if secret.any() else None
         self._no_forecast, self._no_price = np.empty((horizon, 0)), np.empty((horizon + 1, 0))
         for table in (price, self._no_forecast, self._no_price):
             table.setflags(write=False)
 
-    def bounds(self, k: int) -> Bounds:
-        """Return the limits at sample k."""
+    def input_limits(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and upper limits of the inputs at sample k, both of shape (m,)."""
         limits = self.limits
         if not limits.moving:
-            return limits.bounds
-        (u_min, u_max), (y_min, y_max) = limits.table[k, : self._inputs].T, limits.table[k, self._inputs :].T
-        return Bounds(u_min, u_max, y_min, y_max)
+            return limits.bounds.u_min, limits.bounds.u_max
+        now = limits.table[k, : self._inputs]
+        return now[:, 0], now[:, 1]
 
     def nearest(self, k: int, y: FloatArray) -> FloatArray:
         """Return the reference at sample k, of a band its point nearest to the outputs y, shape (p,)."""
-        return self._nearest(y, self.wish.reference[k], self.wish.band[k])
+        reference: FloatArray = self.wish.reference[k].copy()
+        for i, lower, upper in self._bands:
+            if math.isfinite(value := y.item(i)):
+                reference[i] = min(max(value, lower.item(k)), upper.item(k))
+        return reference
+
+    def _nearest(self, rows: Any, y: FloatArray) -> FloatArray:
+        """Return the same in rows, shape (n, p); without y the middle of a band."""
+        reference: FloatArray = self.wish.reference[rows].copy()
+        for i, lower, upper in self._bands:
+            if math.isfinite(value := y.item(i)):
+                reference[:, i] = np.minimum(np.maximum(value, lower[rows]), upper[rows])
+        return reference
 
     def sample(
         self, k: int, time: float, y: FloatArray, measured: FloatArray, disturbance: FloatArray
     ) -> Sample:
         """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
-        rows: Any = slice(k, k + 1 + self._horizon) if self._sees_all else k + self._ahead
-        band, reference = self.wish.band[rows], self.wish.reference[rows]
+        rows: Any = slice(k, k + 1 + self.horizon) if self._sees_all else k + self._known
+        band = self.wish.band[rows]
+        reference = self._nearest(rows, y) if self.has_bands else self.wish.reference[rows]
         input_limits, output_limits = self._fixed_limits or self._limits(rows)
-        if self.has_bands:
-            reference = self._nearest(y, reference, band)
         forecast = self._no_forecast
         if disturbance.size:
-            forecast = self._expected.after(k, self._horizon, disturbance)
-            forecast.setflags(write=False)
+            forecast = self._expected.after(k, self.horizon, disturbance)
         if not self._sees_all or self.has_bands:
             for array in (band, reference):
                 array.setflags(write=False)
@@ -316,16 +361,8 @@ class Outlook:
 
     def _price(self, k: int) -> FloatArray:
         """Return the prices that are known at sample k, shape (horizon + 1, n_prices)."""
-        price = self.price[k : k + 1 + self._horizon]
-        if self._secret.any():
+        price = self.price[k : k + 1 + self.horizon]
+        if self._secret is not None:
             price = np.where(self._secret, price[0], price)
             price.setflags(write=False)
         return price
-
-    def _nearest(self, y: FloatArray, reference: FloatArray, band: FloatArray) -> FloatArray:
-        """Return references, shape (..., p), of bands their points nearest to y; without y their middle."""
-        reference = reference.copy()
-        for i in self._bands:
-            if np.isfinite(y[i]):
-                reference[..., i] = np.clip(y[i], band[..., i, 0], band[..., i, 1])
-        return reference

@@ -1,13 +1,13 @@
 """What is charged in a loop: the signals that are paid for, and their prices over time."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.controller import Charge, Controller
+from ddpc_cosim.controller import Charge
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.signals.prices import Price
 from ddpc_cosim.signals.signals import Reference
@@ -80,18 +80,18 @@ class ChargedSignals:
         """The prices over time, by what errors call them."""
         return {f"prices: {name}": price.price for name, price in self.prices.items()}
 
-    def of_outputs(self, outputs: FloatArray) -> FloatArray:
-        """Return what the plant has of each, shape (n_prices,): NaN of inputs, which are not known yet."""
-        return np.array([np.nan if is_input else outputs[i] for is_input, i in self._places])
+    def of_outputs(self, outputs: FloatArray) -> list[float]:
+        """Return what the plant has of each price's signal: NaN of inputs, which are not known yet."""
+        return [math.nan if is_input else outputs.item(i) for is_input, i in self._places]
 
-    def amounts(self, controller: Controller, applied: FloatArray, outputs: FloatArray) -> FloatArray:
-        """Return what the plant has of each, given all its inputs and outputs, shape (n_prices,).
+    def amounts(self, applied: FloatArray, outputs: FloatArray, *, controls_itself: bool) -> list[float]:
+        """Return what the plant has of each price's signal, given all its inputs and outputs.
 
-        Of inputs that are left to the plant, it is not known.
+        Of inputs that are left to a plant that controls itself, it is not known.
         """
-        if isinstance(controller, PlantControl):
+        if controls_itself:
             applied = np.where(self._is_left, np.nan, applied)
-        return np.array([applied[i] if is_input else outputs[i] for is_input, i in self._places])
+        return [(applied if is_input else outputs).item(i) for is_input, i in self._places]
 
     def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return prices and emissions per amount at times [s], both of shape (len(time), n_prices)."""

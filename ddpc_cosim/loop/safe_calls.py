@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from queue import Empty, SimpleQueue
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.controller import OK, Action, Bounds, Controller, ControllerCode, Loop, Sample
+from ddpc_cosim.controller import OK, Action, Controller, ControllerCode, Loop, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.files.texts import recorded
@@ -33,6 +33,7 @@ _ANY_FAULT = (Exception, SystemExit)
 _REAL_KINDS = "fiub"
 _REAL_NUMBERS = (float, int, np.number, np.bool_)
 _LONGEST_INFO_NAME = 100
+_NO_INFO: Mapping[str, float] = MappingProxyType({})
 # An input may exceed its bounds by a rounding error, relative to the largest finite bound.
 _ROUNDING = 1e-9
 _FLOAT64 = np.dtype(np.float64)
@@ -47,7 +48,7 @@ class Decision(NamedTuple):
     u: NDArray[Any]
     status: str
     seconds: float
-    info: Mapping[str, float] = MappingProxyType({})
+    info: Mapping[str, float] = _NO_INFO
 
     def with_status(self, status: str) -> "Decision":
         """Return the decision with one more reason why it is a fallback; itself for an empty one."""
@@ -314,7 +315,7 @@ def does_accept_missing(controller: Controller) -> bool:
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
-    status, info = OK, dict[str, float]()
+    status, info = OK, _NO_INFO
     with _ControllerCall(controller, "step", allowed=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
@@ -349,16 +350,18 @@ def _info_words(controller: Controller, name: Any) -> str:
     return f"{type(controller).__name__}.step: info[{reprlib.repr(name)}]"
 
 
-def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:
-    """Return a decision within the bounds; one that was beyond them is a fallback, and its status says so."""
+def clip_inputs(decision: Decision, u_min: FloatArray, u_max: FloatArray) -> Decision:
+    """Return a decision within the limits; one that was beyond them is a fallback, and its status says so."""
     u = decision.u
     if u.dtype is _FLOAT64:  # within all of them, as most are, is seen in less time than NumPy takes
-        ends = zip(u.tolist(), bounds.u_min.tolist(), bounds.u_max.tolist(), strict=True)
-        if all(low < value < high for value, low, high in ends):
-            return Decision(u.copy(), decision.status, decision.seconds, decision.info)
-    held = np.minimum(np.maximum(u, bounds.u_min), bounds.u_max)
+        for value, low, high in zip(u.tolist(), u_min.tolist(), u_max.tolist(), strict=True):
+            if not low < value < high:
+                break
+        else:
+            return decision
+    held = np.minimum(np.maximum(u, u_min), u_max)
     if held.tolist() != u.tolist():
-        limits = np.abs(np.stack((bounds.u_min, bounds.u_max)))
+        limits = np.abs(np.stack((u_min, u_max)))
         largest = np.where(np.isfinite(limits), limits, 0.0).max(axis=0)
         if (np.abs(u - held) > _ROUNDING * largest).any():
             decision = decision.with_status(CLIPPED)
@@ -420,19 +423,28 @@ class _Call(ABC):
     plant's parts are, it is not announced: the outer one says what the run is in.
     """
 
-    __slots__ = ("_allowed", "_is_within", "_name", "_time", "_who")
+    __slots__ = ("_allowed", "_is_told", "_name", "_time", "_whose")
+    _who: ClassVar[str]
+    _always_allowed: ClassVar[_ErrorTypes]
 
-    def __init__(self, who: str, name: str, time: float, allowed: _ErrorTypes) -> None:
-        self._who, self._name, self._time, self._allowed = who, name, time, allowed
+    def __init__(
+        self, whose: Any, name: str, time: float = math.nan, allowed: _ErrorTypes | None = None
+    ) -> None:
+        self._whose, self._name, self._time = whose, name, time
+        self._allowed = self._always_allowed if allowed is None else allowed
 
     def __enter__(self) -> None:
-        self._is_within, _calling.now = _calling.now, True
-        if not self._is_within:
+        if _announce is _announce_to_no_one:  # there is nothing to be said at its end either
+            self._is_told = False
+            return
+        self._is_told, _calling.now = not _calling.now, True
+        if self._is_told:
             _announce(self._who, self._name, self._time)
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         if error is None:
-            self._end()
+            if self._is_told:
+                self._end()
             return
         fault = None
         try:  # the words of an error are theirs too, and so belong to the call
@@ -441,14 +453,14 @@ class _Call(ABC):
             else:
                 recorded(error)
         finally:
-            self._end()
+            if self._is_told:
+                self._end()
         if fault is not None:
             raise fault from error
 
     def _end(self) -> None:
-        if not self._is_within:
-            _calling.now = False
-            _announce("", "", math.nan)
+        _calling.now = False
+        _announce("", "", math.nan)
 
     @abstractmethod
     def _fault(self, error: BaseException) -> CosimError:
@@ -456,32 +468,24 @@ class _Call(ABC):
 
 
 class _PlantCall(_Call):
-    """A call of a plant, or of what is called by a name alone; it fails with an FMUStepError."""
+    """A call of a plant, or, of None, of what is called by a name alone; it fails with an FMUStepError."""
 
-    __slots__ = ("_plant",)
-
-    def __init__(
-        self, plant: Plant | None, name: str, time: float = math.nan, allowed: _ErrorTypes = FMUStepError
-    ) -> None:
-        super().__init__("plant", name, time, allowed)
-        self._plant = plant
+    __slots__ = ()
+    _who, _always_allowed = "plant", FMUStepError
 
     def _fault(self, error: BaseException) -> CosimError:
-        words = self._name if self._plant is None else f"{type(self._plant).__name__}.{self._name}"
+        words = self._name if self._whose is None else f"{type(self._whose).__name__}.{self._name}"
         return plant_fault(words, error, self._time)
 
 
 class _ControllerCall(_Call):
-    """A call of a controller; it fails with a ControllerError."""
+    """A call of a controller, or of what is to be one, by name; it fails with a ControllerError."""
 
-    __slots__ = ("_controller",)
-
-    def __init__(self, controller: Controller | str, name: str, allowed: _ErrorTypes = ()) -> None:
-        super().__init__("controller", name, math.nan, allowed)
-        self._controller = controller
+    __slots__ = ()
+    _who, _always_allowed = "controller", ()
 
     def _fault(self, error: BaseException) -> CosimError:
-        whose = self._controller if isinstance(self._controller, str) else type(self._controller).__name__
+        whose = self._whose if isinstance(self._whose, str) else type(self._whose).__name__
         return ControllerError(f"{whose}.{self._name} {_raised(error)}")
 
 

@@ -43,6 +43,7 @@ from ddpc_cosim.signals.signals import (
 from ddpc_cosim.variables import FloatArray, Variable, names, not_names, unknown_names
 
 MOST_STEPS = 100_000_000
+_NOTHING: FloatArray = np.empty(0)
 EngineName = Literal["python", "compiled"]
 """What computes the samples of a loop."""
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
@@ -245,8 +246,8 @@ class Measured(NamedTuple):
         Controlled outputs and measurements, as a controller sees them.
     status : str
         Empty, or why a controller sees something older.
-    d : array, shape (n_d,)
-        The disturbances as measured, those that controllers are not told too.
+    d, told : arrays, shapes (n,) and (n_d,)
+        The disturbances as measured, all of them and those that controllers are told.
     all_outputs : array
         All outputs of the plant, as they are.
     """
@@ -256,6 +257,7 @@ class Measured(NamedTuple):
     measured: FloatArray
     status: str
     d: FloatArray
+    told: FloatArray
     all_outputs: FloatArray
 
 
@@ -516,10 +518,8 @@ class LoopSetup:
         driven = {switch for name, switch in self._switches.items() if name not in left}
         return {switch: float(switch in driven) for switch in self._switches.values()}
 
-    def commanded(self, controller: Controller, u: FloatArray) -> FloatArray:
-        """Return what a controller commands, shape (m,): NaN of inputs that are left to the plant."""
-        if not isinstance(controller, PlantControl):
-            return u
+    def commanded(self, u: FloatArray) -> FloatArray:
+        """Return what is commanded where a plant controls itself, shape (m,): NaN of what is left to it."""
         return np.where(self._is_left[self._is_driven], np.nan, u)
 
     def taken_over(self, controller: Controller, past: Recording) -> tuple[Recording | None, tuple[str, ...]]:
@@ -550,12 +550,18 @@ class LoopSetup:
 
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
-        y = self._sensors.disturb(k, self.disturbances.with_inputs(k, y_plant))
-        seen, status = self._sensors.measure(k, y)
-        d = self.disturbances.measured(y, seen)
+        sensors, disturbances = self._sensors, self.disturbances
+        y, d, told = y_plant, _NOTHING, _NOTHING
+        if disturbances.inputs:
+            y = disturbances.with_inputs(k, y)
+        y = sensors.disturb(k, y)
+        seen, status = sensors.measure(k, y)
+        if disturbances.declared:
+            d = disturbances.measured(y, seen)
+            told = d[disturbances.told_places]
         controlled = y[self._outputs]
         as_seen = controlled if seen is y else seen[self._outputs]
-        return Measured(controlled, as_seen, seen[self._measured], status, d, y)
+        return Measured(controlled, as_seen, seen[self._measured], status, d, told, y)
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""
@@ -645,7 +651,7 @@ class LoopSetup:
     def _protected(self, recording: Recording) -> Recording:
         """Return a recording that a controller can only read, of the disturbances that it is told."""
         tables = {key: getattr(recording, key).view() for key in ("u", "y", "measured", "excitation")}
-        tables["d"] = recording.d[:, self.disturbances.is_told]
+        tables["d"] = recording.d[:, self.disturbances.told_places]
         for table in tables.values():
             table.setflags(write=False)
         return replace(recording, **tables)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ddpc_cosim.codec import Section, Size
 from ddpc_cosim.errors import ConfigError, DataError
@@ -82,8 +83,8 @@ class Forecasts(ABC):
     """What is expected of one disturbance, over the samples of a run."""
 
     @abstractmethod
-    def after(self, k: int, samples: int) -> FloatArray:
-        """Return what is expected at sample k of the so many samples after it, shape (samples,)."""
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        """Return what is expected at samples from k on of those after each, shape (count, samples)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,9 +265,9 @@ class _Foretold(Forecasts):
     def __init__(self, truth: FloatArray, errors: FloatArray | None = None) -> None:
         self._truth, self._errors = truth, errors
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        truth = self._truth[k + 1 : k + 1 + samples]
-        return truth if self._errors is None else truth - self._errors[:samples, k]
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        truth = _windows(self._truth, k, count, samples)
+        return truth if self._errors is None else truth - self._errors[:samples, k : k + count].T
 
 
 class _ForetoldByHour(Forecasts):
@@ -278,14 +279,16 @@ class _ForetoldByHour(Forecasts):
     def __init__(
         self, truth: FloatArray, errors: FloatArray, times: RunTimes, within: tuple[float, float] | None
     ) -> None:
-        self._truth, self._errors, self._times, self._within = truth, errors, times, within
-        self._lead = np.arange(len(errors), dtype=np.float64)
+        self._truth, self._errors, self._within = truth, errors.T, within
+        self._hours: FloatArray = np.arange(len(truth), dtype=np.float64) * (times.step / HOUR)
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        truth = self._truth[k + 1 : k + 1 + samples]
-        hours = (k + np.arange(samples + 1)) * (self._times.step / HOUR)
-        issued = _whole_hours(hours[0])
-        expected: FloatArray = truth - np.interp(hours[1:] - issued, self._lead, self._errors[:, issued])
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        issued = np.array([[_whole_hours(hours)] for hours in self._hours[k : k + count].tolist()])
+        lead = _windows(self._hours, k, count, samples) - issued
+        hour = lead.astype(np.intp)
+        before, after = self._errors[issued, hour], self._errors[issued, hour + 1]
+        truth = _windows(self._truth, k, count, samples)
+        expected: FloatArray = truth - ((after - before) * (lead - hour) + before)
         if self._within is None:
             return expected
         low, high = self._within
@@ -298,12 +301,13 @@ class _Issued(Forecasts):
     def __init__(self, issued: FloatArray, lead: FloatArray, values: FloatArray, times: RunTimes) -> None:
         self._issued, self._lead, self._values, self._times = issued, lead, values, times
 
-    def after(self, k: int, samples: int) -> FloatArray:
-        times = self._times
-        now = times.start + k * times.step
-        row = self._latest(now)
-        lead = now - self._issued[row] + np.arange(1, samples + 1) * times.step
-        expected: FloatArray = np.interp(lead, self._lead, self._values[row])
+    def from_sample(self, k: int, count: int, samples: int) -> FloatArray:
+        times, expected = self._times, np.empty((count, samples))
+        for i in range(count):
+            now = times.start + (k + i) * times.step
+            row = self._latest(now)
+            lead = now - self._issued[row] + np.arange(1, samples + 1) * times.step
+            expected[i] = np.interp(lead, self._lead, self._values[row])
         return expected
 
     def fault(self, samples: int) -> str:
@@ -327,6 +331,11 @@ class _Issued(Forecasts):
 
     def _latest(self, now: float) -> int:
         return int(np.searchsorted(self._issued, now + _ROUNDED * self._times.step, side="right")) - 1
+
+
+def _windows(values: FloatArray, k: int, count: int, samples: int) -> FloatArray:
+    """Return the values of so many samples after each of those from k on, shape (count, samples)."""
+    return sliding_window_view(values[k + 1 : k + count + samples], samples)
 
 
 def _whole_hours(hours: float) -> int:

@@ -92,6 +92,14 @@ class Escapes(House):
         return y * np.nan if u[0] > 2000.0 else y
 
 
+class FailsWithinAnInterval(House):
+    """It ends at 1600 s."""
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        y = super().step(u, h)
+        return y * np.nan if self.time > 1500.0 else y
+
+
 def house(plant: type[Plant] = House, **more: Any) -> Problem:
     weather = KnownDisturbance(signal=Sine(5.0, 1 / 86400.0, offset=275.0), known="perfect")
     tables: dict[str, Any] = {
@@ -282,6 +290,21 @@ def test_no_one_gains_by_ending_a_run() -> None:
     with pytest.raises(ConfigError, match="there is no episode"):
         env.step(np.zeros(1))
     assert episode(env, [[0.0]] * 10, seed=0)[3]["outcome"] == "completed"
+
+
+@pytest.mark.parametrize("communication_step", [None, 200.0])
+def test_an_interval_that_a_fault_ends_is_paid_as_in_the_trace(communication_step: float | None) -> None:
+    weights = {"money": 3.0, "band_violation.room": 0.0}
+    env = of(house(FailsWithinAnInterval, communication_step=communication_step), weights=weights)
+    _, rewards, terminated, _ = episode(env, drawn(0.0, 3000.0, 10), seed=0)
+    assert terminated
+    assert env.trace is not None
+    paid = env.trace.paid
+    assert paid is not None
+    costs = 3.0 * (paid.amounts * paid.price).reshape(3, -1).sum(axis=1)
+    np.testing.assert_allclose(rewards, [-costs[0], -costs[1], -costs[2] - 7 * costs.max()], rtol=1e-12)
+    assert costs.min() > 0.0
+    env.close()
 
 
 def test_an_action_that_is_no_number_ends_the_episode() -> None:

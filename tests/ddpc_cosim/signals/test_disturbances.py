@@ -139,6 +139,21 @@ def test_a_perfect_forecast_is_what_comes_beyond_the_end_of_the_run_too() -> Non
         assert not sample.forecast.flags.writeable
 
 
+def test_a_long_run_is_told_the_forecast_of_each_hour_at_all_its_samples() -> None:
+    """Forecasts of temperatures and the sun change with the hour alone."""
+    keeper, steps = Keeper(), 200
+    run(keeper, disturbances=both("low"), duration=steps * H)
+    forecasts, per_hour = keeper.column("forecast"), round(3600 / H)
+    same = np.arange(steps) % per_hour < per_hour - 1
+    np.testing.assert_array_equal(forecasts[:-1][same, 1:], forecasts[1:][same, :-1])
+    assert (forecasts[:-1][~same, 1:, 0] != forecasts[1:][~same, :-1, 0]).all()
+    perfect = Keeper()
+    run(perfect, disturbances=both("perfect"), duration=steps * H)
+    truth = OUTDOORS.at(START + np.arange(steps + HORIZON + 1) * H)
+    ahead = np.arange(steps + 1)[:, np.newaxis] + np.arange(1, HORIZON + 1)
+    np.testing.assert_array_equal(perfect.column("forecast")[:, :, 0], truth[ahead])
+
+
 def test_what_is_not_known_acts_and_is_not_told() -> None:
     keeper = Keeper()
     trace = run(keeper, disturbances=both("unknown"))
