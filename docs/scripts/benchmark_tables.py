@@ -2,19 +2,20 @@
 
 What methods take of a target's memory is measured anew, with the settings of that run.
 
-Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...]``: the folder that ``ddpc-cosim run
-benchmark`` wrote and, where problems were tuned with another seed of the sampler too, ``trials.csv`` of the
-tuning (if parts were tuned apart, several, joined by commas) and those of the others. A table stands between
-``<!-- table: NAME -->`` and ``<!-- end -->``; without trials those of a second tuning stay as they are.
+Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...] [--many FOLDER]``: the folder that
+``ddpc-cosim run benchmark`` wrote and, where problems were tuned with another seed of the sampler too,
+``trials.csv`` of the tuning (if parts were tuned apart, several, joined by commas) and those of the others;
+``--many``: a folder of the same with many seeds, of the scenario ``noise``. A table stands between
+``<!-- table: NAME -->`` and ``<!-- end -->``; what nothing is given for stays as it is.
 """
 
 import csv
 import math
 import re
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 
 import numpy as np
 from scipy.stats import kendalltau
@@ -28,6 +29,8 @@ from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.runner import built_plants
+from ddpc_cosim.study.verdicts.reliability import failure_rate
+from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_cosim.study.verdicts.statistics import median_interval
 from ddpc_reports.across_problems import Overall, overall
 from ddpc_reports.shares import interval_words, share_words
@@ -37,6 +40,7 @@ PAGES = (DOCS / "benchmark.md", DOCS / "methods" / "gpc.md")
 _TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 _OBJECTIVE, _MOST = "mean_abs_error", 10.0
 _NO_CODE = "no C"
+_FEW = 20  # seeds that the benchmark has
 ADAPTATION = ("gpc", "mfapc", "deepc", "spc", "mpc", "pid")
 LEARNING = ("gpc", "mfapc", "deepc", "mpc")
 """Whom the tables of the page on GPC show: in the last problems, and in the first ten."""
@@ -314,14 +318,48 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) 
     return rows(*table)
 
 
-def main(folder: Path, first: str = "", *others: str) -> None:
+def many(results: StudyResults, labels: Mapping[str, str]) -> str:
+    """Return what the first seeds of many do not show: who fails rarely, and who is ahead of whom."""
+    unseen: dict[str, list[str]] = {key: [] for key in labels}
+    ranks: dict[str, tuple[list[int], list[int]]] = {key: ([], []) for key in labels}
+    count = len({case.seed for case in results.cases})
+    for part in results.problems():
+        first = sorted({case.seed for case in part.cases})[:_FEW]
+        few = [case for case in part.cases if case.seed in first]
+        for place, cases in enumerate((few, part.cases)):
+            for standing in standings(part.study, cases).order:
+                ranks[standing.controller][place].append(1 + standing.worst - standing.rank)
+        for key in labels:
+            seen, rate = (
+                failure_rate(c for c in cases if c.controller == key) for cases in (few, part.cases)
+            )
+            if rate.failed and not seen.failed:
+                interval = f"[{100 * rate.low:.2g} … {100 * rate.high:.2g} %]"
+                unseen[key].append(f"{part.study.name} {rate.failed} of {rate.seeds} {interval}")
+    heads = (
+        f"none of {_FEW} runs failed, of {count} some",
+        f"ranks that {_FEW} seeds allow",
+        f"that {count} do",
+    )
+    table = [["method", *heads]]
+    for key, label in labels.items():
+        table.append([label, "; ".join(unseen[key]) or "none", *(f"{fmean(of):.1f}" for of in ranks[key])])
+    return rows(*table)
+
+
+def main() -> None:
     """Write the tables anew."""
-    results = load_results(folder)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path)
+    parser.add_argument("trials", nargs="*", default=[])
+    parser.add_argument("--many", type=Path)
+    given = parser.parse_args()
+    results = load_results(given.results)
     across = overall(results.problems())
     assert across is not None
     studies = {part.study.name: part.study for part in results.problems()}
     labels = {key: controller.label for key, controller in across.controllers.items()}
-    taken = footprints(read_study(str(folder / "study.toml")), labels)
+    taken = footprints(read_study(str(given.results / "study.toml")), labels)
     tables = {
         "methods": methods(across, regrets(results, labels), taken),
         "memory": memory(across, taken),
@@ -333,8 +371,11 @@ def main(folder: Path, first: str = "", *others: str) -> None:
         "adaptation": errors(results, labels, [*studies][10:], ADAPTATION),
         "learning": errors(results, labels, [*studies][:10], LEARNING, EXACT),
     }
-    if first:
+    if given.trials:
+        first, *others = given.trials
         tables["again"] = again(chosen(Path(path) for path in first.split(",")), map(Path, others))
+    if given.many:
+        tables["many"] = many(load_results(given.many), labels)
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         text = _TABLE.sub(lambda match: match[1] + tables.get(match[2], match[3]) + match[4], text)
@@ -342,4 +383,4 @@ def main(folder: Path, first: str = "", *others: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    main()
