@@ -15,13 +15,13 @@ import sys
 import tempfile
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self, get_args
 
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.files.csv_files import load_pyarrow
@@ -310,15 +310,20 @@ def _extremes_without_samples(study: "WholeStudy", results: Sequence[CaseResult]
     }
 
 
-def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
+def _done(
+    cases: Sequence[Case],
+    folder: Path,
+    selection: Selection,
+    progress: Progress,
+    workers: "Workers | None" = None,
+) -> Iterator[Case]:
     """Run cases where they are to run, and yield each one when its files are written."""
     sandboxed = selection.sandboxed
     if not cases:
         return iter(())
     if selection.executor == "local":
-        keep = selection.keep_files
-        watch = progress.update
-        return run_cases(cases, folder, selection.jobs, watch, sandboxed=sandboxed, keep_files=keep)
+        how: dict[str, Any] = {"sandboxed": sandboxed, "keep_files": selection.keep_files}
+        return run_cases(cases, folder, selection.jobs, progress.update, workers=workers, **how)
     from ddpc_cosim.study.running.cluster import run_on_cluster  # which few runs need
 
     return run_on_cluster(cases, folder, selection.scheduler, run_cases, sandboxed=sandboxed)
@@ -357,7 +362,13 @@ def selected_cases(
 
 
 def run_missing(
-    cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress, *, begin: bool = False
+    cases: Sequence[Case],
+    folder: Path,
+    selection: Selection,
+    progress: Progress,
+    *,
+    begin: bool = False,
+    workers: "Workers | None" = None,
 ) -> int:
     """Run the cases that are not there, and judge the others again where what they are judged by has changed.
 
@@ -375,6 +386,8 @@ def run_missing(
         Follows the run.
     begin : bool
         Whether these are all cases; otherwise each counts as one of those that the progress knows of.
+    workers : Workers, optional
+        Whoever runs some cases after the other keeps them in between.
     """
     cases_folder = folder / CASES_FOLDER
     _require_short_paths(folder, [case.id for case in cases])
@@ -413,13 +426,13 @@ def run_missing(
             progress.finished(case, result)
     alone = [case for case in missing.values() if case.id not in for_batches]
     together = deque(case for case in missing.values() if case.id in for_batches)
-    for case in _done(alone, cases_folder, selection, progress):
+    for case in _done(alone, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
     for case, result in run_batches(together, cases_folder, selection.jobs, lost):
         batched.replaced(case.id)
         progress.finished(case, result)
-    for case in _done(lost, cases_folder, selection, progress):
+    for case in _done(lost, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     return len(missing)
 
@@ -508,6 +521,7 @@ def run_cases(
     sandboxed: bool = False,
     context: CaseContext | None = None,
     keep_files: bool = False,
+    workers: "Workers | None" = None,
 ) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
 
@@ -527,6 +541,8 @@ def run_cases(
         What cases find around them; default: what is around this process.
     keep_files : bool
         Whether to keep what each case leaves in its working directory, which is a temporary one of its own.
+    workers : Workers, optional
+        Those of the cases before, which stay for those after; default: they end with these cases.
 
     Raises
     ------
@@ -538,12 +554,13 @@ def run_cases(
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
-    with _scratch() as temporary, _scratch(folder, STAGING) as staging:
+    with ExitStack() as ending:
+        workers = workers or ending.enter_context(Workers())
+        temporary, staging = workers.temporary, ending.enter_context(_scratch(folder, STAGING))
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         engines = {"ddpc_cosim.compiled.engine" for case in cases if case.engine == "compiled"}
         preload = [*_PRELOAD, *tables, *engines, *_plugin_modules(cases)]
         waiting, running, crashes = deque(cases), list[_Run](), Counter[str]()
-        workers = _Workers(preload, temporary)
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
@@ -563,7 +580,7 @@ def run_cases(
                         case_context = replace(case_context, read=_sandboxed_read(case_context, compiled))
                     with _writable():
                         places = (folder / case.id, staging, temporary)
-                        make = workers.maker_for(case, jobs)
+                        make = workers.maker_for(case, jobs, preload)
                         run = _Run(
                             case,
                             make,
@@ -595,7 +612,6 @@ def run_cases(
             for run in running:
                 run.worker.end()
                 run.close()
-            workers.end()
 
 
 def run_batches(
@@ -785,24 +801,34 @@ def _plugin_modules(cases: Sequence[Case]) -> list[str]:
     return [f"{name}:preload" if hasattr(sys.modules[name], "preload") else name for name in modules]
 
 
-class _Workers:
+class Workers:
     """Makes the workers of cases; one that is as good as new is used again where that pays.
 
-    Parameters
+    As a context it ends those that are left.
+
+    Attributes
     ----------
-    preload : sequence of str
-        What is imported before workers are forked.
     temporary : Path
-        Where temporary files lie.
+        Where temporary files of cases lie meanwhile.
     """
 
-    def __init__(self, preload: Sequence[str], temporary: Path) -> None:
-        self._preload, self._temporary, self._reuse = preload, temporary, not spawning.forks()
+    def __init__(self) -> None:
+        self._reuse = not spawning.forks()
         self._idle: list[Worker] = []
 
-    def maker_for(self, case: Case, jobs: int) -> Callable[..., Worker]:
-        """Return what makes, or has, the worker of a case."""
-        make = partial(Worker, serve_calls, preload=self._preload, memory=_memory(case, jobs))
+    def __enter__(self) -> Self:
+        self._scratch = _scratch()
+        self.temporary = self._scratch.__enter__()
+        return self
+
+    def __exit__(self, *how: Any) -> None:
+        while self._idle:
+            self._idle.pop().end()
+        self._scratch.__exit__(*how)
+
+    def maker_for(self, case: Case, jobs: int, preload: Sequence[str]) -> Callable[..., Worker]:
+        """Return what makes, or has, the worker of a case; ``preload`` is imported before one is forked."""
+        make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
         if not self.may_go_on(case):
             return make
 
@@ -812,7 +838,7 @@ class _Workers:
                 if not wait([worker.channel.socket], 0):  # else it has died: it has nothing to say
                     return worker
                 worker.end()
-            return make(folder=self._temporary, **how)
+            return make(folder=self.temporary, **how)
 
         return make_or_take
 
@@ -820,11 +846,6 @@ class _Workers:
         """Keep the worker of a run that has ended for another one, unless it has ended too."""
         if run.worker_goes_on:
             self._idle.append(run.worker)
-
-    def end(self) -> None:
-        """End the workers that have no case."""
-        while self._idle:
-            self._idle.pop().end()
 
     def may_go_on(self, case: Case) -> bool:
         """Whether the worker of a case that completes may have another one."""

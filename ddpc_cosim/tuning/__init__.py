@@ -29,7 +29,7 @@ from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import resolve_file
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
-from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
+from ddpc_cosim.study.runner import Progress, Selection, Workers, built_plants, run_missing, run_study
 from ddpc_cosim.study.verdicts.judgement import judged, run_of
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (
@@ -227,11 +227,13 @@ def tune_study(
     others = [tuning.others_in(tunings) for tuning in tunings]
     last = [min(len(some), request.trials - 1) for some in others]
     first = [tuning.go_on(request.trials - n) for tuning, n in zip(tunings, last, strict=True)]
-    times = _run_all(first, folder, selection, progress, judge)
-    for tuning, some in zip(tunings, others, strict=True):
-        tuning.propose_found(some)
-    rest = [tuning.go_on(n) for tuning, n in zip(tunings, last, strict=True) if n]
-    times += _run_all(rest, folder, selection, progress, judge)
+    with Workers() as workers:
+        how = selection, progress, judge, workers
+        times = _run_all(first, folder, *how)
+        for tuning, some in zip(tunings, others, strict=True):
+            tuning.propose_found(some)
+        rest = [tuning.go_on(n) for tuning, n in zip(tunings, last, strict=True) if n]
+        times += _run_all(rest, folder, *how)
     trials = {(search.problem, search.name): search.trials for search in searches}
     chosen = {key: tried[best(tried)].settings for key, tried in trials.items()}
     at_ends = {
@@ -391,12 +393,14 @@ def _run_all(
     selection: Selection,
     progress: TuningProgress,
     judge: Callable[[Sequence[Case], Sequence[Path]], list[CaseResult]],
+    workers: Workers,
 ) -> list[float]:
     """Run what all tunings want next until all are done; return how long the runs took."""
     times = list[float]()
     due = {tuning: next(tuning) for tuning in tunings}
     while due:
-        run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
+        wanted = [case for cases in due.values() for case in cases]
+        run_missing(wanted, folder, selection, progress, workers=workers)
         for tuning, cases in [*due.items()]:
             folders = [folder / CASES_FOLDER / case.id for case in cases]
             times += [read_run(place)["wall_time"] for place in folders]

@@ -6,6 +6,7 @@ import json
 import shutil
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.loop.trace import Outcome
+from ddpc_cosim.processes.worker import Worker
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import ControllerSection
@@ -135,12 +137,12 @@ def test_an_interrupted_tuning_goes_on_to_the_same_end_on_any_number_of_workers(
     tuned(tmp_path / "whole", request=request, jobs=2)
     rounds = 0
 
-    def ends(*arguments: object) -> None:
+    def ends(*arguments: object, **how: object) -> None:
         nonlocal rounds
         rounds += 1
         if rounds > 7:
             raise KeyboardInterrupt
-        run_missing(*arguments)  # type: ignore[arg-type]
+        run_missing(*arguments, **how)  # type: ignore[arg-type]
 
     with monkeypatch.context() as patched:
         patched.setattr("ddpc_cosim.tuning.run_missing", ends)
@@ -218,6 +220,26 @@ def test_trials_in_compiled_loops_find_the_same(tmp_path: Path, monkeypatch: pyt
     for trial, same in zip(*tables, strict=True):
         assert float(trial.pop(figure)) == pytest.approx(float(same.pop(figure)), rel=1e-9)
         assert trial == same
+
+
+def test_a_worker_of_compiled_loops_goes_on_from_trial_to_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    class Counted(Worker):
+        def __init__(self, *arguments: Any, **how: Any) -> None:
+            made.append(self)
+            super().__init__(*arguments, **how)
+
+    monkeypatch.setattr("ddpc_cosim.study.runner.Worker", Counted)
+    study = read_study(str(write(tmp_path, study_text())))
+    request = Request(trials=5, seeds=[4, 5], compares=False)
+    selection = Selection(1, engine="compiled")
+    tuning = tune_study(study, tmp_path / "out", request, selection, LineProgress(io.StringIO()))
+    ((_, trials),) = tuning.trials.items()
+    assert sum(trial.runs for trial in trials) >= 6
+    assert len(made) == 2  # of the runs at rest, and of all trials
 
 
 def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> None:
