@@ -144,15 +144,12 @@ class Ahead(NamedTuple):
 
     Parameters
     ----------
-    pointer : str
-        Expression of the numbers.
     places : Sample
-        Where each value of a sample stands among them.
+        Where each value of a sample stands in the memory.
     factors : Sample
         What it is multiplied by.
     """
 
-    pointer: str
     places: Sample
     factors: Sample
 
@@ -176,7 +173,7 @@ class Ahead(NamedTuple):
         code.kernel("ahead")
         values = {"places": code.sizes(places), "factors": code.doubles(factors)}
         chosen = code.constant("Chosen", n=len(places), **values, far=far)
-        return f"choose_ahead(&{chosen}, {self.pointer}, {target});\n"
+        return f"choose_ahead(&{chosen}, memory, {target});\n"
 
     def limits(self, code: "Code", samples: int, target: str) -> str:
         """Return one for the limits of the inputs over samples: all lower ones, and then the upper ones."""
@@ -272,7 +269,7 @@ class Code:
         self._count = 0
 
     def look_ahead(self, loop: Loop, horizon: int) -> None:
-        """Take what a loop has besides measurements and references into the memory, from ``r`` of a step.
+        """Begin the memory with what a loop has besides measurements and references, from ``r`` of a step.
 
         Parameters
         ----------
@@ -297,7 +294,7 @@ class Code:
                 for last, later in pairwise(rows):
                     before[later] = last
                 ahead = np.minimum(np.arange(horizon + length) + bool(now), len(rows) - 1)
-                held[name] = np.array([rows[k] for k in ahead])
+                held[name] = np.array(rows)[ahead]
         if loop.disturbances:
             starts[places["disturbance"]] = [variable.start for variable in loop.disturbances]
         if loop.moving_limits:  # sides that stand are what they are, and may be infinite
@@ -312,12 +309,13 @@ class Code:
         numbers = np.flatnonzero(taken)
         known = {"places": self.sizes(numbers), "before": self.sizes(before[numbers])}
         self.kernel("ahead")
-        self._known, pointer = self.constant("Known", n=len(numbers), **known), self.memory(starts)
+        self._known = self.constant("Known", n=len(numbers), **known)
+        self.memory(starts)
         seen: dict[str, Any] = {name: values.astype(np.float64) for name, values in (places | held).items()}
         p, q = len(loop.outputs), len(loop.measurements)
         empty = Sample(0, 0.0, np.zeros(p), np.zeros(q), np.zeros((horizon, p)), np.zeros(p))
         factors: dict[str, Any] = {name: np.ones(values.shape) for name, values in seen.items()}
-        self.ahead = Ahead(pointer, empty._replace(**seen), empty._replace(**factors))
+        self.ahead = Ahead(empty._replace(**seen), empty._replace(**factors))
 
     @contextmanager
     def seeing(self, ahead: Ahead | None) -> Iterator[None]:
@@ -434,7 +432,7 @@ class Code:
         last = self.memory(resting_input(loop))
         looks = list[str]()
         if self.ahead:
-            looks.append(f"take_known(&{self._known}, r + {(1 + preview) * p}, {self.ahead.pointer});")
+            looks.append(f"take_known(&{self._known}, r + {(1 + preview) * p}, memory);")
         if self.ahead and moved_inputs(loop):
             low = self.memory(np.zeros(2 * m))
             high = f"{low} + {m}"

@@ -12,7 +12,7 @@ from fmpy.validation import validate_fmu
 
 from controllers.export.compiled import Beside
 from controllers.test_foresight import PLANTS, Case, make, power, sample_of
-from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC
+from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, BandEdge, DeePC, GammaDDPC, KoopmanMPC, Scaled
 from ddpc_controllers.data.dictionaries import Identity, ThinPlate
 from ddpc_cosim import Action, Controller, Loop, Sample, export_controller, further_arguments, further_signals
 from ddpc_cosim.variables import names
@@ -84,7 +84,23 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "Koopman MPC, delays": lambda: KoopmanMPC(horizon=6, state="delays", delays=2, dictionary=Identity()),
     "PID": lambda: PID(proportional=4.0, integral=0.5, derivative=0.05, feedforward=True),
     "WKPC": lambda: WKPC(dictionary=ThinPlate(count=4)),
+    "PID, lower edge": lambda: Scaled(
+        controller=BandEdge(margin=0.1, controller=PID(proportional=4.0, integral=0.5, setpoint_share=0.6))
+    ),
+    "LQR, upper edge": lambda: BandEdge(edge="upper", margin=0.05, controller=LQR(horizon=4)),
+    "SPC, lower edge": lambda: BandEdge(margin=[0.05, 9.0], controller=SPC(horizon=6)),
+    "DeePC, upper edge": lambda: BandEdge(edge="upper", controller=DeePC(horizon=6)),
+    "DeePC, both edges": lambda: BandEdge(edge="both", margin=[0.05, 9.0], controller=DeePC(horizon=6)),
+    "MPC, both edges": lambda: Scaled(
+        controller=BandEdge(
+            edge="both", margin=0.05, controller=Scaled(controller=MPC(horizon=6), scale_by="nominal")
+        )
+    ),
+    "MPC, an edge within both": lambda: BandEdge(
+        edge="both", margin=0.05, controller=BandEdge(margin=0.03, controller=MPC(horizon=6))
+    ),
 }
+WITHOUT_OPTIMISATION = ("LQR", "PID", "PID, lower edge", "LQR, upper edge")
 
 
 def fmu_rows(loop: Loop, samples: list[Sample], horizon: int, *, ahead: bool) -> np.ndarray:
@@ -149,7 +165,14 @@ def test_the_fmu_has_inputs_for_all_of_it(ahead: bool, tmp_path: Path) -> None:
 
 
 ON_THE_PENDULUM = ("DeePC", "DeePC, plans", "SPC", "gamma-DDPC", "WKPC", "MPC, outputs", "LQR", "PID")
-ON_BOTH = ("MPC", "MPC, cheap inputs", "Koopman MPC", "Koopman MPC, delays")
+ON_BOTH = (
+    "MPC",
+    "MPC, cheap inputs",
+    "Koopman MPC",
+    "Koopman MPC, delays",
+    "PID, lower edge",
+    "MPC, both edges",
+)
 
 
 @pytest.mark.parametrize(
@@ -165,4 +188,4 @@ def test_all_of_it_is_decided_as_in_python(name: str, plant: str) -> None:
     assert beside.difference <= 1e-8
     assert not beside.disagreements
     assert beside.limited > 0
-    assert beside.active > 0 or name in ("LQR", "PID")  # which have no optimisation
+    assert beside.active > 0 or name in WITHOUT_OPTIMISATION

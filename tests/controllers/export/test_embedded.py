@@ -22,6 +22,7 @@ from ddpc_controllers import (
     MPC,
     PID,
     WKPC,
+    BandEdge,
     Cascade,
     Decentralised,
     DeePC,
@@ -46,6 +47,8 @@ class Regulated:
 
 
 CONTROLLERS: dict[str, tuple[Bench | Regulated, Controller]] = {
+    "band-edge": (Regulated(), BandEdge(margin=0.1, controller=PID(proportional=0.2, integral=0.1))),
+    "band-edge-both": (Regulated(), BandEdge(edge="both", margin=0.1, controller=MPC(horizon=6))),
     "cascade": (PENDULUM, Cascade(inner=PID(proportional=2.0), outer=IPID(alpha=2.0), outer_period=3)),
     "decentralised": (COUPLED, Scaled(controller=Decentralised(groups=LOOPS))),
     "deepc": (PENDULUM, DeePC()),

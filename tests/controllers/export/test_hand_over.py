@@ -23,6 +23,7 @@ from ddpc_controllers import (
     PID,
     SPC,
     WKPC,
+    BandEdge,
     Cascade,
     Decentralised,
     DeePC,
@@ -65,6 +66,9 @@ METHODS: dict[str, Make] = {
     ),
     "WKPC": lambda: WKPC(dictionary=ThinPlate(count=4)),
     "scaled PID": lambda: Scaled(controller=PID(proportional=4.0, integral=0.5)),
+    "PID, lower edge": lambda: BandEdge(margin=0.05, controller=PID(proportional=4.0, integral=0.5)),
+    "LQR, upper edge": lambda: BandEdge(edge="upper", controller=LQR(horizon=4)),
+    "DeePC, both edges": lambda: BandEdge(edge="both", margin=0.05, controller=DeePC(horizon=6)),
     "idle": Idle,
 }
 """Those that are exported with disturbances, bands, prices and limits that move."""
@@ -311,6 +315,7 @@ def rows_of(loop: Loop, samples: list[Sample], horizon: int, active: list[float]
 FMUS: dict[str, tuple[Callable[[], Loop], Make, str]] = {
     "regulated: DeePC": (regulated, METHODS["DeePC"], "2.0"),
     "regulated: LQR": (regulated, METHODS["LQR"], "3.0"),
+    "regulated: DeePC, both edges": (regulated, METHODS["DeePC, both edges"], "3.0"),
     "PID": (*EVERY["PID"], "2.0"),
     "MFAPC": (*EVERY["MFAPC"], "3.0"),
     "GPC": (*EVERY["GPC, two"], "2.0"),
