@@ -12,7 +12,7 @@ from fmpy.validation import validate_fmu
 
 from controllers.export.compiled import Beside
 from controllers.test_foresight import PLANTS, Case, make, power, sample_of
-from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC
+from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, DeePC, GammaDDPC, KoopmanMPC, SafetyFilter
 from ddpc_controllers.data.dictionaries import Identity, ThinPlate
 from ddpc_cosim import Action, Controller, Loop, Sample, export_controller, further_arguments, further_signals
 from ddpc_cosim.variables import names
@@ -84,6 +84,7 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "Koopman MPC, delays": lambda: KoopmanMPC(horizon=6, state="delays", delays=2, dictionary=Identity()),
     "PID": lambda: PID(proportional=4.0, integral=0.5, derivative=0.05, feedforward=True),
     "WKPC": lambda: WKPC(dictionary=ThinPlate(count=4)),
+    "safety filter": lambda: SafetyFilter(controller=LQR(horizon=4), steps_ahead=6),
 }
 
 
