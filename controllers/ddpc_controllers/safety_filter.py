@@ -25,7 +25,7 @@ Where no inputs keep all of it, the terminal condition becomes a cost, and then 
 times the square of what is exceeded. The status says so.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -43,6 +43,8 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.instruments import predict_from_head
 from ddpc_controllers.data.quality import Span, fit_by_predictor, judge
+from ddpc_controllers.export.code import ALL_AHEAD, Code, inner_step
+from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.outlook import D, Foresight, Outlook
@@ -73,6 +75,8 @@ class SafetyFilter(Promise, SingleWrapper):
     filter sees as far ahead of disturbances and limits that move as the controller inside does, and holds the
     last value after that. Missing outputs are replaced by their prediction.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     initial_length: int = setting(
         4, low=1, doc="samples of the past that fix the initial condition", search=Integer(1, 8)
@@ -225,6 +229,44 @@ class SafetyFilter(Promise, SingleWrapper):
         self._outlook.advance(parameters)
         return Action(u, fault or (PREDICTED if missing else OK))
 
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the controller, and what changes its inputs."""
+        wants = inner_step(self._inner.controller, code, loop)
+        code.kernel("safety_filter")
+        m, p, outlook, sizes = len(loop.inputs), len(loop.outputs), self._outlook, self._parameters.sizes
+        law = add_law(code, self._law, m + p, outlook.moves_inputs)
+        low, high = self._bounds
+        name = code.constant(
+            "SafetyFilter",
+            m=m,
+            p=p,
+            past=self.initial_length,
+            scale=code.doubles(self._scales.u),
+            low=code.doubles(low),
+            high=code.doubles(high),
+            same=_SAME,
+            law=law.pointer,
+            **outlook.members(code, self._limits),
+        )
+        parameters = code.memory([*self._parameters.array, *np.zeros(2 * m * outlook.moves_inputs)])
+        rest = [self._resting], [0.0], np.zeros(m), self._forecast, np.zeros(m + p), np.zeros(law.memory)
+        held = code.held("SafetyFilterMemory", parameters, *rest)
+
+        def changes(code: Code, _: Loop) -> str:
+            first = f"{parameters} + {sum(sizes[window] for window in ('u_ini', 'y_ini', 'wanted'))}"
+            look = outlook.in_c(code, first, 1)
+            return code.step(f"{held}{look}filter_inputs(&{name}, &held, sample, u, told);")
+
+        ahead = code.ahead
+        with code.seeing(ahead and ahead.through(lambda sample: self._extended(self._seen.sample(sample)))):
+            filtered = self._scales.c_step(code, changes, 0)
+        return code.step(
+            f"{held}{wants}(memory, sample, u, told);\n"
+            f"if (!take_wanted(&{name}, &held, sample, u)) return;\n"
+            f"{filtered}(memory, sample, u, told);\n"
+            f"give_wanted(&{name}, &held, u);"
+        )
+
     def _extended(self, sample: Sample) -> Sample:
         """Return a sample with as many rows of what is known ahead as the filter looks ahead."""
         n, bounds = self.steps_ahead, self._seen.loop.bounds
@@ -240,10 +282,11 @@ class SafetyFilter(Promise, SingleWrapper):
     def diagnostics(self) -> Mapping[str, float]:
         """Return the controller's values, the share of interventions, and those of the filter's recording."""
         own = {**self._diagnostics.as_dict(), **self._judgement.diagnostics}
-        share = self._interventions / self._steps if self._steps else 0.0
+        # The compiled engine makes no step here: nothing is known of how many inputs it changed.
+        share = {"intervention_rate": self._interventions / self._steps} if self._steps else {}
         return {
             **super().diagnostics(),
-            "intervention_rate": share,
+            **share,
             **self.promised(),
             **{f"filter.{name}": value for name, value in own.items()},
         }

@@ -13,7 +13,7 @@ from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, Parametr
 from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
-_SAME = 1e-12
+_SAME = 1e-10  # weights of a terminal condition far above the others leave no more digits
 _ROUNDING = 1e-15
 
 

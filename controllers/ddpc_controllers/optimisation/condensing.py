@@ -372,8 +372,9 @@ def _tightest(law: FloatArray, gain: FloatArray) -> NDArray[np.intp]:
     rows /= size[:, np.newaxis]
     same = rows @ rows.T > 1.0 - _SAME_DIRECTION
     limits = law[:, -1] / size
-    # The terminal condition makes bounds equal but for rounding: the first of them is kept.
-    equal = np.abs(limits - limits[:, np.newaxis]) <= _SAME_DIRECTION * np.abs(limits)
-    tighter = (limits > limits[:, np.newaxis]) & ~equal
-    as_tight_and_earlier = equal & np.tri(len(rows), k=-1, dtype=bool)
-    return np.flatnonzero(~np.any(same & (tighter | as_tight_and_earlier), axis=1)).astype(np.intp)
+    # The terminal condition makes bounds equal but for rounding: the first of the tightest is kept. If each
+    # were compared with each, all of them could have one that is tighter, or as tight and earlier.
+    tightest = np.where(same, limits, -np.inf).max(axis=1, initial=-np.inf)
+    as_tight = limits >= tightest - _SAME_DIRECTION * np.abs(tightest)
+    earlier = np.tri(len(rows), k=-1, dtype=bool)
+    return np.flatnonzero(as_tight & ~np.any(same & as_tight & earlier, axis=1)).astype(np.intp)

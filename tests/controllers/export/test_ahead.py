@@ -12,7 +12,19 @@ from fmpy.validation import validate_fmu
 
 from controllers.export.compiled import Beside
 from controllers.test_foresight import PLANTS, Case, make, power, sample_of
-from ddpc_controllers import LQR, MPC, PID, SPC, WKPC, BandEdge, DeePC, GammaDDPC, KoopmanMPC, Scaled
+from ddpc_controllers import (
+    LQR,
+    MPC,
+    PID,
+    SPC,
+    WKPC,
+    BandEdge,
+    DeePC,
+    GammaDDPC,
+    KoopmanMPC,
+    SafetyFilter,
+    Scaled,
+)
 from ddpc_controllers.data.dictionaries import Identity, ThinPlate
 from ddpc_cosim import Action, Controller, Loop, Sample, export_controller, further_arguments, further_signals
 from ddpc_cosim.variables import names
@@ -99,6 +111,7 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "MPC, an edge within both": lambda: BandEdge(
         edge="both", margin=0.05, controller=BandEdge(margin=0.03, controller=MPC(horizon=6))
     ),
+    "safety filter": lambda: SafetyFilter(controller=LQR(horizon=4), steps_ahead=6),
 }
 WITHOUT_OPTIMISATION = ("LQR", "PID", "PID, lower edge", "LQR, upper edge")
 

@@ -29,6 +29,7 @@ from ddpc_controllers import (
     Group,
     KoopmanMPC,
     OffsetFree,
+    SafetyFilter,
     Scaled,
 )
 from ddpc_cosim import Controller, ControllerCode, Loop
@@ -58,6 +59,7 @@ CONTROLLERS: dict[str, tuple[Bench | Regulated, Controller]] = {
     "mfapc": (PENDULUM, MFAPC(form="ffdl", rate_bounds=0.3)),
     "mpc": (COUPLED, MPC()),
     "offset-free": (PENDULUM, OffsetFree(controller=LQR())),
+    "safety-filter": (Regulated(), SafetyFilter(controller=LQR(), steps_ahead=6)),
     "wkpc": (PENDULUM, WKPC()),
 }
 # What the code may take from a C library: no heap, no files, nothing that ends a process.

@@ -33,6 +33,7 @@ from ddpc_controllers import (
     Idle,
     KoopmanMPC,
     OffsetFree,
+    SafetyFilter,
     Scaled,
 )
 from ddpc_controllers.data.dictionaries import Combined, Delays, Identity, ThinPlate
@@ -69,6 +70,7 @@ METHODS: dict[str, Make] = {
     "PID, lower edge": lambda: BandEdge(margin=0.05, controller=PID(proportional=4.0, integral=0.5)),
     "LQR, upper edge": lambda: BandEdge(edge="upper", controller=LQR(horizon=4)),
     "DeePC, both edges": lambda: BandEdge(edge="both", margin=0.05, controller=DeePC(horizon=6)),
+    "safety filter": lambda: SafetyFilter(controller=PID(proportional=4.0), steps_ahead=6),
     "idle": Idle,
 }
 """Those that are exported with disturbances, bands, prices and limits that move."""
@@ -117,6 +119,13 @@ PLAIN: dict[str, tuple[Bench, Make]] = {
 def regulated(preview: int = 6) -> Loop:
     """Return a loop with two disturbances, a band, limits that move and two prices."""
     return replace(make(PLANTS["two inputs, two outputs"], 160), preview=preview)
+
+
+def limited() -> Loop:
+    """Return a loop whose outputs have limits."""
+    loop, _ = COUPLED.loop()
+    limit = COUPLED.nominal[: COUPLED.outputs]
+    return replace(loop, bounds=replace(loop.bounds, y_min=-limit, y_max=limit))
 
 
 def answer_of(controller: Controller, sample: Sample, loop: Loop) -> FloatArray:
@@ -208,6 +217,7 @@ def started(new: Make, loop: Loop, past: Recording | None) -> Controller:
 EVERY: dict[str, tuple[Callable[[], Loop], Make]] = {
     **{f"regulated: {name}": (regulated, new) for name, new in METHODS.items()},
     **{name: (lambda bench=bench: bench.loop()[0], new) for name, (bench, new) in PLAIN.items()},  # type: ignore[misc]
+    "safety filter": (limited, lambda: SafetyFilter(controller=PID(proportional=0.5, integral=0.3))),
     "GPC, known disturbances": (lambda: replace(regulated(), moving_limits=()), lambda: GPC(horizon=6)),
 }
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers import DeePC
+from ddpc_controllers.optimisation.condensing import _tightest
 from ddpc_controllers.published import PublishedDeePC
 from ddpc_cosim import Action, FloatArray, Recording, Sample
 
@@ -203,3 +204,10 @@ def test_what_counts_as_a_conflict_does_not_depend_on_units(noise: float) -> Non
         (1e4, np.array([1e-4, 1e4])),
     ):
         assert conflicts(*units) == [bool(noise)] * 40
+
+
+def test_of_bounds_that_are_one_but_for_rounding_one_stays() -> None:
+    """The first and the last of them differ by more than what counts as rounding, neighbours by less."""
+    limits = 1.0 + 8e-15 * np.arange(3)
+    law = np.column_stack([np.zeros(4), np.append(limits, 0.5)])
+    np.testing.assert_array_equal(_tightest(law, np.array([[1.0], [1.0], [1.0], [-1.0]])), [1, 3])

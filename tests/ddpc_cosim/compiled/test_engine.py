@@ -263,6 +263,28 @@ def test_code_with_its_numbers_apart_is_the_same_for_every_recording(cases: list
     assert program_of(first) is program_of(second)
 
 
+def test_a_controller_around_another_one(tmp_path: Path, own_cache_folder: None) -> None:
+    inside = {"type": "pid", "proportional": 6.0, "integral": 8.0}
+    text = study_text(
+        {**PLANT, **MEASURED},
+        REFERENCE,
+        {"filtered": {"type": "safety-filter", "settings": {"controller": inside, "steps_ahead": 10}}},
+        LOOP,
+        seeds=[3, 4],
+        bounds={**BOUNDS, "angle": {"min": -0.3, "max": 0.31}},
+        recording=RECORDING,
+        scenarios={"noise": SCENARIOS["noise"]},
+    )
+    cases = cases_in(write(tmp_path, text))
+    for case in cases:
+        python, compiled = both(case)
+        assert_the_same(python, compiled)
+        assert python.diagnostics["intervention_rate"] > 0.0
+        assert "intervention_rate" not in compiled.diagnostics  # what is told of steps is Python's alone
+    first, second = (controller.loadable_c_code(loop) for controller, loop in map(started, cases))
+    assert first.sources == second.sources
+
+
 def test_run_says_which_engine_each_case_had(
     tmp_path: Path, own_cache_folder: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
