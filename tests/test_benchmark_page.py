@@ -170,8 +170,11 @@ def test_memory_grows_with_the_inputs_that_are_planned() -> None:
 
 
 def settings_of(label: str, problem: str = "pendulum") -> Mapping[str, Any]:
+    """Return the settings of a method; within a band's edge, those of the controller inside."""
     controllers = STUDY.problems[problem].study.controllers.values()
-    return next(section.settings for section in controllers if section.label == label)
+    settings = next(section.settings for section in controllers if section.label == label)
+    inside: Mapping[str, Any] = settings.get("controller", settings)
+    return inside
 
 
 def by_memory() -> tuple[list[str], list[str]]:
@@ -197,12 +200,31 @@ def of_memory() -> str:
     }
     most, where = max(sums, key=sums.__getitem__)
     without = [label for label, method in METHODS.items() if method.memory == NO_CODE]
-    nowhere = [problem for problem in STUDY.problems if all(problem != there for _, there in sums)]
-    nobody = f", and on {coded(nowhere)} nobody has" if nowhere else ""
+    lacking = {
+        label: [*(STUDY.problems.keys() - METHODS[label].memory_by_problem)] for label in (*little, *much)
+    }
+    (where_some,) = {problem for problems in lacking.values() for problem in problems}
+    partly = listed(label for label in METHODS if lacking.get(label))
     return (
         f"**Memory in C** is {spans[0]} for {listed(little)}, and {spans[1]} for {listed(much)}; the most is "
         f"{METHODS[most].memory.rstrip(']').rpartition(' ')[2]} kB, of {most} on {coded([where])}. "
-        f"{listed(without)} {'have' if without[1:] else 'has'} no C code{nobody}."
+        f"{listed(without)} has no C code, nor have {partly} on {coded([where_some])}."
+    )
+
+
+def of_many() -> str:
+    """Return what a hundred seeds show that twenty do not."""
+    rare = [
+        (int(failed), label, problem)
+        for label, cell, *_ in table("many")[1:]
+        for problem, failed in re.findall(r"([\w-]+) (\d+) of 100", cell)
+    ]
+    most, label, problem = max(rare)
+    (_, few_pairs, _, _, few_open), (_, many_pairs, _, _, many_open) = table("pairs")[1:]
+    return (
+        f"In {len(rare)} cases of a method on a problem none of 20 runs failed and {min(rare)[0]} to {most} "
+        f"of 100 did, most often {label} on {coded([problem])}. Of {few_pairs} pairs 20 seeds leave {few_open} "
+        f"open, of {many_pairs} 100 seeds {many_open}: fewer pairs, as more methods have a failed run."
     )
 
 
@@ -286,6 +308,13 @@ def sentences() -> list[str]:
 @pytest.mark.parametrize("sentence", sentences())
 def test_a_sentence_says_what_the_tables_say(sentence: str) -> None:
     assert sentence in plain(PAGE)
+
+
+def test_what_a_hundred_seeds_show_is_what_their_tables_say() -> None:
+    assert of_many() in plain(PAGE)
+    for row in table("pairs")[1:]:
+        _, pairs, *parts = map(int, row)
+        assert sum(parts) == pairs
 
 
 def test_no_other_sentence_has_a_number() -> None:

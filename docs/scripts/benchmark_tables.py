@@ -13,7 +13,9 @@ import csv
 import math
 import re
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from statistics import fmean, median
 
@@ -347,6 +349,26 @@ def many(results: StudyResults, labels: Mapping[str, str]) -> str:
     return rows(*table)
 
 
+def pairs(results: StudyResults) -> str:
+    """Return of how many pairs of methods without failed runs the first seeds, and all, tell who is ahead."""
+    count = len({case.seed for case in results.cases})
+    table = [["seeds", "pairs", "told apart", "too little to matter", "not told apart"]]
+    for seeds in (_FEW, count):
+        found = Counter[str]()
+        for part in results.problems():
+            first = sorted({case.seed for case in part.cases})[:seeds]
+            where = standings(part.study, [case for case in part.cases if case.seed in first])
+            for a, b in combinations([name for name, failed in where.failed.items() if not failed], 2):
+                differences = [where.compared[key].differences for key in where.keys]
+                is_told = any((of.get((a, b)) or of[b, a]).told_apart for of in differences)
+                matters = any(where.worse_in(key, a, b) for key in where.keys)
+                found[
+                    "told apart" if matters else "too little to matter" if is_told else "not told apart"
+                ] += 1
+        table.append([str(seeds), str(found.total()), *(str(found[head]) for head in table[0][2:])])
+    return rows(*table)
+
+
 def main() -> None:
     """Write the tables anew."""
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
@@ -375,7 +397,8 @@ def main() -> None:
         first, *others = given.trials
         tables["again"] = again(chosen(Path(path) for path in first.split(",")), map(Path, others))
     if given.many:
-        tables["many"] = many(load_results(given.many), labels)
+        of_noise = load_results(given.many)
+        tables |= {"many": many(of_noise, labels), "pairs": pairs(of_noise)}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         text = _TABLE.sub(lambda match: match[1] + tables.get(match[2], match[3]) + match[4], text)
