@@ -223,8 +223,9 @@ def of_many() -> str:
     (_, few_pairs, _, _, few_open), (_, many_pairs, _, _, many_open) = table("pairs")[1:]
     return (
         f"In {len(rare)} cases of a method on a problem none of 20 runs failed and {min(rare)[0]} to {most} "
-        f"of 100 did, most often {label} on {coded([problem])}. Of {few_pairs} pairs 20 seeds leave {few_open} "
-        f"open, of {many_pairs} 100 seeds {many_open}: fewer pairs, as more methods have a failed run."
+        f"of 100 did, most often {label} on {coded([problem])}. "
+        f"Of {few_pairs} pairs 20 seeds leave {few_open} open, of {many_pairs} 100 seeds {many_open}: "
+        "fewer pairs, as more methods have a failed run."
     )
 
 
