@@ -1,6 +1,6 @@
 """Closed loops with noise, missing measurements and a limited preview, in which C code runs beside Python."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,3 +120,26 @@ COUPLED = Bench(
     rest=np.array([2.0, 1.0]),
 )
 """A linear plant with two inputs, two outputs and one more measurement, about an operating point."""
+
+
+def limited_loop(rng: np.random.Generator, inputs: int, preview: int) -> Loop:
+    """Return the loop of the coupled plant with so many inputs, whose limits are drawn."""
+    loop, _ = COUPLED.loop(recording=None, preview=preview)
+    limits, free = rng.uniform(0.2, 2.0, inputs), np.full(2, np.inf)
+    variables = tuple(Variable(f"u{j}") for j in range(inputs))
+    return replace(loop, inputs=variables, bounds=Bounds(-limits, limits, -free, free))
+
+
+def ask_at_random(beside: Beside, loop: Loop, rng: np.random.Generator) -> Iterator[int]:
+    """Start a controller anew ten times, ask it eight times, and yield at how many samples limits are active.
+
+    What adapts to noise is not stable, and roundings grow in it.
+    """
+    for _ in range(10):
+        beside.start(loop)
+        active = 0
+        for k in range(8):
+            y, r = rng.normal(size=2), 2.0 * rng.normal(size=(beside.horizon + 1, 2))
+            beside.step(Sample(k, 0.1 * k, y, np.append(0.0, y[::-1]), r[1:], r[0]))
+            active += beside.c.last_step[2] > 0
+        yield active

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from controllers.export.compiled import Beside, CompiledController
-from controllers.export.loops import COUPLED, PENDULUM, Bench
+from controllers.export.loops import COUPLED, PENDULUM, Bench, ask_at_random, limited_loop
 from controllers.export.test_ahead import side_by_side
 from controllers.test_foresight import PLANTS
 from ddpc_controllers import GPC
 from ddpc_controllers.models.recursive import RecursiveLeastSquares
-from ddpc_cosim import Bounds, ConfigError, FloatArray, Sample, Variable
+from ddpc_cosim import Bounds, ConfigError, FloatArray, Sample
 
 BOUND = 1e-10
 HELD, CLIPPED = 1, 8
@@ -92,10 +92,7 @@ def test_an_unknown_reference_holds_the_inputs_but_not_the_estimates(kept: list[
 def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     m, horizon = int(rng.integers(1, 4)), int(rng.integers(2, 7))
-    loop, _ = COUPLED.loop(recording=None, preview=horizon)
-    limits, free = rng.uniform(0.2, 2.0, m), np.full(2, np.inf)
-    inputs = tuple(Variable(f"u{j}") for j in range(m))
-    loop = replace(loop, inputs=inputs, bounds=Bounds(-limits, limits, -free, free))
+    loop = limited_loop(rng, m, horizon)
     controller = GPC(
         initial_model="gradient",
         initial_gradient=rng.normal(size=(2, m)).tolist(),
@@ -114,13 +111,9 @@ def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int)
         scaling="none",
     )
     beside, active = Beside(controller=controller), 0
-    for _ in range(10):  # each anew: what adapts to noise is not stable, and roundings grow in it
-        beside.start(loop)
-        for k in range(8):
-            y, r = rng.normal(size=2), 2.0 * rng.normal(size=(horizon + 1, 2))
-            beside.step(Sample(k, 0.1 * k, y, np.append(0.0, y[::-1]), r[1:], r[0]))
-            active += beside.c.last_step[2] > 0
+    for limited in ask_at_random(beside, loop, rng):
         check(beside)
+        active += limited
     assert active > 40
 
 

@@ -23,10 +23,10 @@ from ddpc_controllers import (
     Scaled,
     StateSpace,
 )
-from ddpc_cosim import Bounds, ConfigError, Controller, FloatArray, Loop, Sample, Variable
+from ddpc_cosim import Bounds, ConfigError, Controller, FloatArray, Loop, Sample
 
 from .compiled import Beside
-from .loops import COUPLED, PENDULUM, Bench
+from .loops import COUPLED, PENDULUM, Bench, ask_at_random, limited_loop
 
 LAG = StateSpace(a=[[0.8]], b=[[0.2]], c=[[1.0]])
 ALL = {
@@ -150,10 +150,7 @@ def test_limits_that_no_change_can_keep_are_told_and_clipped() -> None:
 def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     m, horizon = int(rng.integers(1, 4)), int(rng.integers(2, 7))
-    loop, _ = COUPLED.loop(recording=None, preview=horizon)
-    limits, free = rng.uniform(0.2, 2.0, m), np.full(2, np.inf)
-    inputs = tuple(Variable(f"u{j}") for j in range(m))
-    loop = replace(loop, inputs=inputs, bounds=Bounds(-limits, limits, -free, free))
+    loop = limited_loop(rng, m, horizon)
     controller = MFAPC(
         form=("cfdl", "pfdl", "ffdl")[seed % 3],
         horizon=horizon,
@@ -166,13 +163,9 @@ def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int)
         scaling="none",
     )
     beside, active = Beside(controller=controller), 0
-    for _ in range(10):  # each anew: what adapts to noise is not stable, and roundings grow in it
-        beside.start(loop)
-        for k in range(8):
-            y, r = rng.normal(size=2), 2.0 * rng.normal(size=(horizon + 1, 2))
-            beside.step(Sample(k, 0.1 * k, y, np.append(0.0, y[::-1]), r[1:], r[0]))
-            active += beside.c.last_step[2] > 0
+    for limited in ask_at_random(beside, loop, rng):
         check(beside, bound=1e-9, fallbacks=0)
+        active += limited
     assert active > 40
 
 
