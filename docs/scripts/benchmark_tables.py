@@ -354,7 +354,7 @@ def pairs(results: StudyResults) -> str:
     count = len({case.seed for case in results.cases})
     table = [["seeds", "pairs", "told apart", "too little to matter", "not told apart"]]
     for seeds in (_FEW, count):
-        found = Counter[str]()
+        counts = Counter[str]()
         for part in results.problems():
             first = sorted({case.seed for case in part.cases})[:seeds]
             where = standings(part.study, [case for case in part.cases if case.seed in first])
@@ -362,10 +362,10 @@ def pairs(results: StudyResults) -> str:
                 differences = [where.compared[key].differences for key in where.keys]
                 is_told = any((of.get((a, b)) or of[b, a]).told_apart for of in differences)
                 matters = any(where.worse_in(key, a, b) for key in where.keys)
-                found[
+                counts[
                     "told apart" if matters else "too little to matter" if is_told else "not told apart"
                 ] += 1
-        table.append([str(seeds), str(found.total()), *(str(found[head]) for head in table[0][2:])])
+        table.append([str(seeds), str(counts.total()), *(str(counts[head]) for head in table[0][2:])])
     return rows(*table)
 
 

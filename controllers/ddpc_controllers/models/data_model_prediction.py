@@ -105,18 +105,18 @@ class LinearisedPrediction:
     def in_c(self, code: Code) -> tuple[str, str]:
         """Add the sizes to code in C; return their name, and the initialiser of what they need in memory."""
         regressors, inputs, horizon, control_horizon = self._arguments
-        own, p, n = regressors[0], len(regressors), control_horizon * inputs
+        first, p, n = regressors[0], len(regressors), control_horizon * inputs
         prediction = code.constant(
             "LinearisedPrediction",
             p=p,
             m=inputs,
-            output_length=own.output_length,
-            input_length=own.input_length,
-            diagonal=len(own.inputs) < inputs,
+            output_length=first.output_length,
+            input_length=first.input_length,
+            diagonal=len(first.inputs) < inputs,
             horizon=horizon,
             control_horizon=control_horizon,
         )
-        terms, rows = own.output_terms + len(own.inputs) * own.input_length, horizon * p
+        terms, rows = first.output_terms + len(first.inputs) * first.input_length, horizon * p
         sizes = (rows * terms, rows * (n + 1), rows, n * n, n * n, n, n, (rows + n) * n)
         return prediction, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
 
