@@ -7,11 +7,12 @@ import math
 import os
 import shutil
 import stat
+import sys
 import warnings
 from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import islice
@@ -183,7 +184,8 @@ class CaseResult:
                 f"folder: --only {self.controller} --seeds {self.seed}"
             )
         try:
-            return read_trace(self.folder)
+            with _unmoved(self.folder):
+                return read_trace(self.folder)
         except DAMAGED as error:
             raise damaged_files(self.folder, error) from error
 
@@ -205,12 +207,18 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
     ConfigError
         Its files are missing or damaged.
     """
+    with _unmoved(folder):
+        return _checked(folder, id or folder.name)[1]
+
+
+def _checked(folder: Path, id: str) -> tuple[dict[str, Any], CaseResult]:
+    """Return ``run.json`` and the case in a folder that nobody moves; errors as of :func:`load_case`."""
     try:
         run = _read_run(folder)
         _signals(folder, run)
-        if run["id"] != (id or folder.name):
+        if run["id"] != id:
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
-        return result_of_run(run, folder)
+        return run, result_of_run(run, folder)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
 
@@ -414,8 +422,7 @@ def accept_case(
     """
     allowed = {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILES[head["storage"]]: longest}
     _check_staged(staged, allowed | ({_STATE_FILE: _LONGEST_STATE} if keeps_state else {}))
-    load_case(staged, head["id"])
-    run = read_run(staged)
+    run, _ = _checked(staged, head["id"])
     for key, value in head.items():
         if run[key] != value:
             raise ConfigError(f"{RUN_FILE} is of {key} {str(run[key])[:100]}")
@@ -512,11 +519,12 @@ def recompute_metrics(folder: Path, settings: MetricSettings) -> None:
         The case cannot be read or written, and why.
     """
     try:
-        run = _read_run(folder)
-        if run["metric_settings"] == asdict(settings):
-            return
-        run |= evaluated(read_trace(folder), settings)
-        write_atomically(folder / RUN_FILE, sealed_json(run))
+        with _unmoved(folder, by_this=True):
+            run = _read_run(folder)
+            if run["metric_settings"] == asdict(settings):
+                return
+            run |= evaluated(read_trace(folder), settings)
+            write_atomically(folder / RUN_FILE, sealed_json(run))
     except DAMAGED as error:
         raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
 
@@ -601,7 +609,7 @@ def checksum(content: bytes) -> str:
 def _move_into_place(staged: Path, folder: Path) -> None:
     """Put a completely written folder in its place, while other runs may do the same."""
     older = staged.with_name(f"{staged.name}.older")
-    with held():
+    with held(), _unmoved(folder, by_this=True):
         with suppress(FileNotFoundError):
             folder.replace(older)  # quicker than removing it: hardly a moment without a case
         try:
@@ -615,6 +623,24 @@ def _move_into_place(staged: Path, folder: Path) -> None:
     shutil.rmtree(older, ignore_errors=True)
 
 
+@contextmanager
+def _unmoved(folder: Path, *, by_this: bool = False) -> Iterator[None]:
+    """Have a case's folder stay as it is while it is read, or let nobody read it while this process moves it.
+
+    Several runs can work in one folder of results: between two moves there is no case, and files of two are
+    not of one. Where folders cannot be locked, as on Windows, nothing is held up.
+    """
+    with ExitStack() as stack:
+        if sys.platform != "win32":
+            import fcntl
+
+            with suppress(OSError):
+                cases = os.open(folder.parent, os.O_RDONLY)
+                stack.callback(os.close, cases)
+                fcntl.flock(cases, fcntl.LOCK_EX if by_this else fcntl.LOCK_SH)
+        yield
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """Return ``run.json`` of a case.
 
@@ -624,7 +650,8 @@ def read_run(folder: Path) -> dict[str, Any]:
         It is missing or damaged.
     """
     try:
-        return _read_run(folder)
+        with _unmoved(folder):
+            return _read_run(folder)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
 
