@@ -734,10 +734,10 @@ class _Reader:
                 (untimed, "no time stands before it"),
                 (again, "it has the time of another"),
             ):
-                found = [
+                faults = [
                     (f'line {lines[row]}, column "{table.headers[n]}"', what) for row in at_rows.tolist()
                 ]
-                self._faults.add(what, self._file, found, "export it with the time of each sample")
+                self._faults.add(what, self._file, faults, "export it with the time of each sample")
         table.words, table.reported = words, reported
         if scope.begin:
             table.instants = union.instants
@@ -749,17 +749,17 @@ class _Reader:
         """Report columns without numbers, cells that have digits and are none, and two decimal marks."""
         columns = {i: numbers for i, numbers in self._numbers.items() if i not in texts}
         if self._columns is not None and lines.size:
-            found = [
+            without_numbers = [
                 (f'column "{head.header[i]}"', f'"{cell}" and the other cells are not numbers')
                 for i in texts
                 for cell in [next(iter(self._numbers[i].texts.values()), "")]
             ]
-            found += [
+            without_numbers += [
                 (f'column "{head.header[i]}"', "all of its cells are empty")
                 for i, numbers in columns.items()
                 if numbers.is_empty
             ]
-            self._faults.add("texts", self._file, found, "columns says which column a signal is in")
+            self._faults.add("texts", self._file, without_numbers, "columns says which column a signal is in")
         odd = [
             (f'line {lines[row]}, column "{head.header[i]}"', f'"{cell}" is not a finite number')
             for i, numbers in columns.items()
@@ -856,11 +856,11 @@ class _Reader:
         for written in ("dd/mm/yyyy", "mm/dd/yyyy"):
             guessed = read_dates(cells, written, self._format.time_zone)
             if not guessed.faults:
-                found = [
+                faults = [
                     (f'line {self._lines[row]}, column "{self._time_header(head)}"', what)
                     for row, what in dates.faults.items()
                 ]
-                self._faults.add("time", self._file, found, dates.remedy)
+                self._faults.add("time", self._file, faults, dates.remedy)
                 return guessed
         return dates
 

@@ -138,10 +138,10 @@ def read_log(
     tables = _alike(tables, faults)
     treating = _Treatments(format, sampling_time, faults, held, lenient=lenient)
     log = treating.log(tables)
-    found = (*faults.lines, *unreadable)
-    if found and not lenient:
-        raise DataError(found)
-    return replace(log, faults=found)
+    lines = (*faults.lines, *unreadable)
+    if lines and not lenient:
+        raise DataError(lines)
+    return replace(log, faults=lines)
 
 
 def _alike(tables: Sequence[LogTable], faults: Faults) -> list[LogTable]:
@@ -278,12 +278,12 @@ class _Treatments:
         empty = (
             {n for n, what in table.untimed.items() if what == "the cell is empty"} if bears else set[int]()
         )
-        found = [
+        untimed = [
             (f'line {table.lines[n]}, column "{table.time_header}"', what)
             for n, what in sorted(table.untimed.items())
             if n not in empty
         ]
-        self._faults.add("time", table.file, found, table.time_remedy)
+        self._faults.add("time", table.file, untimed, table.time_remedy)
         lost = ~np.isfinite(rows.time)
         self._count("left out", "row without a time left out", "rows without a time left out", len(empty))
         return rows.of(~lost)
@@ -305,8 +305,8 @@ class _Treatments:
             remedy = (
                 'sort its rows, or write duplicates = "first", by which they are put in the order of time'
             )
-            found = [(self._where(rows, i + 1), self._after(rows, i)) for i in back.tolist()]
-            self._add("order", rows, back + 1, found, f"times must increase; {remedy}")
+            out_of_order = [(self._where(rows, i + 1), self._after(rows, i)) for i in back.tolist()]
+            self._add("order", rows, back + 1, out_of_order, f"times must increase; {remedy}")
         return self._once(rows)
 
     def _once(self, rows: _Rows) -> _Rows:
@@ -317,9 +317,11 @@ class _Treatments:
         how = self._format.duplicates
         first = np.setdiff1d(np.arange(len(rows.time)), again)
         if how == "refuse":
-            found = [(self._where(rows, i), "the row has the time of the one before") for i in again.tolist()]
+            duplicates = [
+                (self._where(rows, i), "the row has the time of the one before") for i in again.tolist()
+            ]
             remedy = 'write duplicates = "first", "last" or "mean", or give the rows their own times'
-            self._add("duplicates", rows, again, found, remedy)
+            self._add("duplicates", rows, again, duplicates, remedy)
             return rows.of(first)
         words = "averaged with another of the same time" if how == "mean" else "dropped"
         kind = ("duplicate row ", "duplicate rows ")
@@ -359,8 +361,10 @@ class _Treatments:
         if abs(usual - period) > allowed:
             how = "mean" if usual < period else "linear"
             what = f"rows are {usual:g} s apart, in the median; {needed}"
-            found = [(f'column "{self._tables[rows.file[0]].time_header}"', what)]
-            self._faults.add("rate", self._tables[rows.file[0]].file, found, f'or write resample = "{how}"')
+            wrong_rate = [(f'column "{self._tables[rows.file[0]].time_header}"', what)]
+            self._faults.add(
+                "rate", self._tables[rows.file[0]].file, wrong_rate, f'or write resample = "{how}"'
+            )
             return [rows]
         numbers = np.maximum(np.rint(steps / period).astype(np.int64), 1)
         is_even = np.abs(steps - numbers * period) <= allowed
@@ -370,9 +374,13 @@ class _Treatments:
         gaps = np.flatnonzero(is_gap & ~filled)
         if self._format.gaps == "split":
             uneven = uneven[steps[uneven] < period]
-        found = [(self._where(rows, i + 1), self._after(rows, i)) for i in uneven.tolist()]
+        uneven_steps = [(self._where(rows, i + 1), self._after(rows, i)) for i in uneven.tolist()]
         self._add(
-            "uneven", rows, uneven + 1, found, f'{needed}, or a larger time_tolerance, or resample = "linear"'
+            "uneven",
+            rows,
+            uneven + 1,
+            uneven_steps,
+            f'{needed}, or a larger time_tolerance, or resample = "linear"',
         )
         self._tell_gaps(rows, np.setdiff1d(gaps, uneven), needed)
         inserted = np.where(filled, numbers, 1)
@@ -472,20 +480,20 @@ class _Treatments:
         return _cut(rows.of(kept), seams) if kept.size else []
 
     def _tell_missing(self, rows: _Rows, missing: _Mask) -> None:
-        found, places = list[tuple[str, str]](), list[int]()
+        cells, places = list[tuple[str, str]](), list[int]()
         for i, n in np.argwhere(missing).tolist():
             table, row = self._tables[rows.file[i]], int(rows.row[i])
             if (row, n) in table.reported:
                 continue
             word = table.words.get((row, n))
             what = "the cell is empty" if word is None else f'"{word}" is not a finite number'
-            found.append((f'line {table.lines[row]}, column "{table.headers[n]}"', what))
+            cells.append((f'line {table.lines[row]}, column "{table.headers[n]}"', what))
             places.append(i)
         split = 'gaps = "split" to leave out such samples'
         remedy = f"write {split}"
         if (longest := self._longest_run) <= _LONGEST_INTERPOLATED:
             remedy = f"write missing = {longest} to interpolate up to {longest} in a row, or {split}"
-        self._add("missing", rows, np.array(places, dtype=np.int64), found, remedy)
+        self._add("missing", rows, np.array(places, dtype=np.int64), cells, remedy)
 
     def _tell_gaps(self, rows: _Rows, gaps: _Indices, needed: str) -> None:
         """Count gaps at which the log is split, or report them."""
@@ -497,7 +505,7 @@ class _Treatments:
         if clocks:
             self._tell_change_of_clocks(rows, clocks)
         others = np.setdiff1d(gaps, clocks).astype(np.int64)
-        found = [(self._where(rows, i + 1), self._after(rows, i)) for i in others.tolist()]
+        jumps = [(self._where(rows, i + 1), self._after(rows, i)) for i in others.tolist()]
         samples = steps[others] / self._period
         is_even = np.abs(samples - np.rint(samples)) <= self._format.time_tolerance
         longest = (
@@ -507,7 +515,7 @@ class _Treatments:
         remedy = 'write gaps = "split" to make pieces of it'
         if self._longest_gap <= _LONGEST_INTERPOLATED:
             remedy += f", or missing = {self._longest_gap:g} to interpolate"
-        self._add("gaps", rows, others + 1, found, f"{needed}; {remedy}")
+        self._add("gaps", rows, others + 1, jumps, f"{needed}; {remedy}")
 
     def _is_change_of_clocks(self, rows: _Rows, i: int, period: float) -> bool:
         """Whether local times go on from a row as if clocks had been put forward or back."""
@@ -518,12 +526,12 @@ class _Treatments:
         return by_an_hour and self._date(rows, i).month in _CHANGES
 
     def _tell_change_of_clocks(self, rows: _Rows, places: Sequence[int]) -> None:
-        found = [
+        changes = [
             (self._where(rows, i + 1), f"{self._date(rows, i)} is followed by {self._date(rows, i + 1)}")
             for i in places
         ]
         remedy = 'that is probably daylight saving: write time_zone = "Europe/Berlin", or where the plant is'
-        self._add("clocks", rows, np.array(places) + 1, found, remedy)
+        self._add("clocks", rows, np.array(places) + 1, changes, remedy)
 
     def _add(
         self, kind: str, rows: _Rows, at: _Indices, found: Sequence[tuple[str, str]], remedy: str

@@ -147,7 +147,7 @@ def candidates(
     samples = Samples.of(first)
     samples = Samples.of(first, choose_delays(samples))
     tried: dict[str, list[tuple[Fit, Predictor, Samples]]] = {}
-    found = list[Candidate]()
+    best = list[Candidate]()
     for name in METHODS if method == "auto" else [method]:
         models: Sequence[tuple[Fit | KoopmanFit, PlantModel]]
         if name == "koopman":
@@ -163,12 +163,12 @@ def candidates(
                 for fit, predictor, seen in tried[name]
             ]
         judged = [_judged(fit, model, rest, horizon) for fit, model in models]
-        found += ranked(judged)[:1] if judged else []
-    if not found:
+        best += ranked(judged)[:1] if judged else []
+    if not best:
         raise DataError(
             "every Koopman model of the data runs away when it is simulated: log more, or take another method"
         )
-    return ranked([_of_all(candidate, recording) for candidate in found])
+    return ranked([_of_all(candidate, recording) for candidate in best])
 
 
 def ranked(judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -228,19 +228,19 @@ def _nonlinear_fits(
     curve, hasty = input_map_of(recording, predictor, fit.delays, _HASTE)
     bent = replace(fit, input_map=curve)
     spent = sum(map(len, curve.points)) * np.log(len(samples))
-    found = list[tuple[Fit, Predictor, Samples]]()
+    fits = list[tuple[Fit, Predictor, Samples]]()
     if wanted or _criterion(bent, hasty, bent.samples(recording)) + spent < before:
         curve, predictor = input_map_of(recording, predictor, fit.delays)
         fit = replace(fit, input_map=curve)
         samples = fit.samples(recording)
-        found.append((fit, predictor, samples))
+        fits.append((fit, predictor, samples))
     if predictor.plant_is_stable():
         model = fit.model(predictor, samples)
         pieces = [model.simulate(part.u, part.d, x=model.first_state(part)) for part in recording.pieces]
         fit = replace(fit, output_map=output_map_of(recording, np.vstack(pieces)))
         samples = fit.samples(recording)
-        found.append((fit, refine(predictor, samples), samples))
-    return found
+        fits.append((fit, refine(predictor, samples), samples))
+    return fits
 
 
 def _criterion(fit: Fit, predictor: Predictor, samples: Samples) -> float:

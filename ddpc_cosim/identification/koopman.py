@@ -269,9 +269,9 @@ def koopman_models(
     samples = Samples.of(recording, delays)
     most = most_lags(samples)
     every = [order] if order else sorted({min(lags, most) for lags in (*_LAGS, choose_lags(samples))})
-    found = sorted((_dictionary(samples, lags) for lags in every), key=lambda chosen: chosen[0])
+    dictionaries = sorted((_dictionary(samples, lags) for lags in every), key=lambda chosen: chosen[0])
     models = list[tuple[KoopmanFit, LiftedModel]]()
-    for i, (_, lags, lift) in enumerate(found[:_SHORTLIST]):
+    for i, (_, lags, lift) in enumerate(dictionaries[:_SHORTLIST]):
         if wanted or any(len(term) > 1 for term in lift.factors):
             shares = _BELIEVED if i == 0 else _BELIEVED[:1]
             fits = [KoopmanFit(lags, samples.delays, lift, believed) for believed in shares]

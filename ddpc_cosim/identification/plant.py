@@ -69,10 +69,10 @@ class IdentifiedPlant(Plant):
         self._steps(sampling_time)
 
     def _steps(self, h: float) -> int:
-        own = self._model.sampling_time
-        if fault := sampling_fault(h, own):
+        sampling_time = self._model.sampling_time
+        if fault := sampling_fault(h, sampling_time):
             raise ConfigError(fault)
-        return round(h / own)
+        return round(h / sampling_time)
 
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Go to the initial state and return the outputs there, shape (p,); it has no parameters."""

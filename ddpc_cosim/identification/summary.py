@@ -98,7 +98,7 @@ def identified_lines(spec: IdentifiedSpec, data: dict[str, Any]) -> Iterator[str
 
 def _poles(models: Sequence[PlantModel]) -> list[dict[str, Any]]:
     """Return time constants and periods of the slowest poles, and between what those of most models lie."""
-    h, found = models[0].sampling_time, list[dict[str, Any]]()
+    h, time_scales = models[0].sampling_time, list[dict[str, Any]]()
     poles, others = matched_poles(models, _MOST_POLES)
     with np.errstate(divide="ignore", invalid="ignore"):
         for pole, cloud in zip(poles, others.T, strict=True):
@@ -109,8 +109,8 @@ def _poles(models: Sequence[PlantModel]) -> list[dict[str, Any]]:
             intervals = {
                 kind: _positive(values[0], *interval(values[1:], _LEVEL)) for kind, values in kinds.items()
             }
-            found.append({**intervals, "period": intervals["period"] if pole.imag else None})
-    return found
+            time_scales.append({**intervals, "period": intervals["period"] if pole.imag else None})
+    return time_scales
 
 
 def _time_constant(model: PlantModel) -> float:

@@ -187,33 +187,33 @@ def summarise(
     """
     notes = [*notes]
     order, limit, needed, horizon = 0, 0, 0, _HORIZONS[0]
-    found, ahead = Relations(), Predictions()
+    interactions, ahead = Relations(), Predictions()
     if recording is not None:
         names = [[c.name for c in columns if c.role == role] for role in ("input", "output")]
         signals = recording.u.shape[1] + recording.y.shape[1] + recording.d.shape[1]
         part = part_of(recording, _LAGS * signals, "relations")
-        found = relations(part.u, part.y, part.d, (names[0], names[1]), part.seams)
+        interactions = relations(part.u, part.y, part.d, (names[0], names[1]), part.seams)
         low, high = _HORIZONS
-        horizon = min(max(found.answer or high // 2, low), high)
+        horizon = min(max(interactions.answer or high // 2, low), high)
         horizon = max(min(horizon, len(recording) // 20), 1)
-        dead_time = max((pair.dead_time for pair in found.pairs if pair.acts), default=1)
-        memory = min(max(_USUAL_MEMORY, dead_time + found.order - 1), _LONGEST_MEMORY)
+        dead_time = max((pair.dead_time for pair in interactions.pairs if pair.acts), default=1)
+        memory = min(max(_USUAL_MEMORY, dead_time + interactions.order - 1), _LONGEST_MEMORY)
         moved = np.hstack([part.u, part.d[:, np.ptp(part.d, axis=0) > 0.0]])
         needed = memory + horizon + memory * recording.y.shape[1]
         limit = max(_LARGEST_HANKEL // moved.shape[1], needed)
         order = persistency_of_excitation(moved, limit, part.seams)
         part = part_of(recording, (memory + horizon) * signals, "predictions")
         still = any(bool((np.ptp(values, axis=0) == 0.0).any()) for values in (part.u, part.y))
-        if found.pairs and not still:
+        if interactions.pairs and not still:
             ahead = predictions(part, horizon, memory)
         if len(part) < len(recording):
             notes.append(
-                f"gains and feedback rest on {found.samples}, predictions on {ahead.samples} of "
+                f"gains and feedback rest on {interactions.samples}, predictions on {ahead.samples} of "
                 f"{len(recording)} samples, in {_STRETCHES} stretches spread over all of them; columns on "
                 "all rows"
             )
     knows = recording is not None and recording.excitation.shape[1] >= recording.u.shape[1]
-    evidence = Evidence(tuple(columns), sampling, order, needed, limit, found, ahead, horizon, knows)
+    evidence = Evidence(tuple(columns), sampling, order, needed, limit, interactions, ahead, horizon, knows)
     good, text, reservations = verdict(evidence)
     return LogSummary(title, good, text, reservations, advice(evidence), tuple(notes), evidence)
 
