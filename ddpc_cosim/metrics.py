@@ -385,12 +385,12 @@ def in_unit(key: str, unit: str) -> DisplayUnit:
     ConfigError
         It is not a unit of the same quantity.
     """
-    own = split_key(key)[2]
-    if unit in ("", own):
-        return DisplayUnit(own)
+    key_unit = split_key(key)[2]
+    if unit in ("", key_unit):
+        return DisplayUnit(key_unit)
     is_level = metric_of(key).unit == "value"
     # A product has no unit with an offset in it: a difference times a time is in K h.
-    units = (own, unit) if is_level else (text.replace("degC", "K") for text in (own, unit))
+    units = (key_unit, unit) if is_level else (text.replace("degC", "K") for text in (key_unit, unit))
     try:
         shown = display_unit(*units)
     except ValueError as error:

@@ -217,13 +217,13 @@ def _baseline_columns(results: StudyResults, findings: Findings) -> list[_Column
 
     def cell(cases: Sequence[CaseResult], key: str) -> Cell:
         controller = cases[0].controller
-        told = against(ranking, key, baseline, controller)
-        if controller == baseline or told is None or math.isnan(told.difference.median):
+        comparison = against(ranking, key, baseline, controller)
+        if controller == baseline or comparison is None or math.isnan(comparison.difference.median):
             return Cell("baseline" if controller == baseline else _MISSING)
-        size = f"{told.percent:+.3g} %"
-        if math.isnan(told.percent):
-            size = f"{told.difference.median:+.3g} {split_key(key)[2]}".removesuffix(" 1")
-        return Cell(f"{size} {told.word}".replace("\u00a0", " "))
+        size = f"{comparison.percent:+.3g} %"
+        if math.isnan(comparison.percent):
+            size = f"{comparison.difference.median:+.3g} {split_key(key)[2]}".removesuffix(" 1")
+        return Cell(f"{size} {comparison.word}".replace("\u00a0", " "))
 
     words = f"against {label}"
     several = len(ranking.keys) > 1

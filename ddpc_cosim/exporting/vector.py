@@ -78,8 +78,8 @@ def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[
         if loop.moving_limits:
             limits = trace.input_limits[k, :, 0], trace.input_limits[k, :, 1]
         decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), *limits)
-        told = Observation(loop, horizon).with_all_limits(sample)
-        yield [int(begins), *told.tolist(), *decision.u.tolist(), int(decision.status != OK)]
+        observation = Observation(loop, horizon).with_all_limits(sample)
+        yield [int(begins), *observation.tolist(), *decision.u.tolist(), int(decision.status != OK)]
 
 
 def _ahead(

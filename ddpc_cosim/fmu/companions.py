@@ -151,13 +151,13 @@ def _given(in_fmu: Sequence[Path], library_path: Sequence[Path]) -> tuple[Path, 
 
 def _closure(libraries: Sequence[Path], find: _Finder) -> list[Path]:
     """Return libraries, and those that they need, as far as they are found by their names."""
-    found, waiting = dict.fromkeys(libraries), list(libraries)
+    closure, waiting = dict.fromkeys(libraries), list(libraries)
     while waiting:
         for path in filter(None, map(find, _needed_by(waiting.pop()))):
-            if path not in found:
-                found[path] = None
+            if path not in closure:
+                closure[path] = None
                 waiting.append(path)
-    return list(found)
+    return list(closure)
 
 
 def _needed_by(library: Path) -> list[str]:

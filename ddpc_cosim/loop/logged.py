@@ -155,5 +155,5 @@ class TakingOver(Controller):
     def diagnostics(self) -> Mapping[str, float]:
         """Return what the other one says of its data, and whether an answer did not depend on the past."""
         same = self._answers_without_past
-        told = {} if same is None else {WITHOUT_PAST: float(same)}
-        return {**controller_diagnostics(self._controller), **told}
+        without_past = {} if same is None else {WITHOUT_PAST: float(same)}
+        return {**controller_diagnostics(self._controller), **without_past}

@@ -551,17 +551,17 @@ class LoopSetup:
     def measure(self, k: int, y_plant: FloatArray) -> Measured:
         """Return what is controlled and what is seen of the plant's outputs at sample k."""
         sensors, disturbances = self._sensors, self.disturbances
-        y, d, told = y_plant, _NOTHING, _NOTHING
+        y, d, known = y_plant, _NOTHING, _NOTHING
         if disturbances.inputs:
             y = disturbances.with_inputs(k, y)
         y = sensors.disturb(k, y)
         seen, status = sensors.measure(k, y)
         if disturbances.declared:
             d = disturbances.measured(y, seen)
-            told = d[disturbances.told_places]
+            known = d[disturbances.told_places]
         controlled = y[self._outputs]
         as_seen = controlled if seen is y else seen[self._outputs]
-        return Measured(controlled, as_seen, seen[self._measured], status, d, told, y)
+        return Measured(controlled, as_seen, seen[self._measured], status, d, known, y)
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""

@@ -427,10 +427,10 @@ class Trace:
 
     def _moved(self, variable: Variable) -> TaggedSignal:
         """Return an input over the whole run; where it is left to the plant, what that says it applies."""
-        told = self._known(applied_output(variable.name))
-        if told is not None and told[0].unit == variable.unit and self._is_left(variable.name).all():
+        applied = self._known(applied_output(variable.name))
+        if applied is not None and applied[0].unit == variable.unit and self._is_left(variable.name).all():
             steps = (len(self) - 1) * self.substeps + 1
-            return TaggedSignal(self._between(told[0].name, told[1])[:steps], self.communication_step)
+            return TaggedSignal(self._between(applied[0].name, applied[1])[:steps], self.communication_step)
         known = self._known(variable.name)
         assert known is not None
         return TaggedSignal(known[1], self.sampling_time, is_held=True)

@@ -72,8 +72,8 @@ def prepare(
     logged_as = {**(recording.columns if recording else {}), **columns}
     format = LogFormat(**{**recording.format, "part": WHOLE}) if recording else LogFormat()
     known = {header for signal in wanted.values() for header in signal.headers} | {*logged_as.values()}
-    found = _located(log, headers_of(log, format, known), wanted, logged_as)
-    read = [Column(wanted[name].variable, header) for name, header in found.items()]
+    located = _located(log, headers_of(log, format, known), wanted, logged_as)
+    read = [Column(wanted[name].variable, header) for name, header in located.items()]
     held = [wanted[name].variable.name for name in names(case.inputs)]
     rows = read_log(log, sampling_time=case.sampling_time, format=format, columns=read, held=held)
     time, values = rows.time, rows.values
@@ -89,7 +89,7 @@ def prepare(
         start = case.start_time
         notes.append(f"the log's first row counts as t = {shown(start)} of the study")
     begin = float(time[0]) if start is None else start
-    return _replaying(case, dict(zip(found, values.T, strict=True)), begin, first), tuple(notes)
+    return _replaying(case, dict(zip(located, values.T, strict=True)), begin, first), tuple(notes)
 
 
 def _wanted(case: Case) -> dict[str, _Wanted]:
@@ -134,7 +134,7 @@ def _located(
 ) -> dict[str, str]:
     """Return the header of each signal that the log has."""
     has = {split_unit(title)[0] for title in titles} | {*titles}
-    found, faults = dict[str, str](), list[str]()
+    located, faults = dict[str, str](), list[str]()
     for name, signal in wanted.items():
         given = logged_as.get(name)
         headers = signal.headers if given is None else (given,)
@@ -143,12 +143,12 @@ def _located(
             continue
         try:
             find_column(str(log), titles, header, _HINT)
-            found[name] = header
+            located[name] = header
         except DataError as error:
             faults += error.faults
     if faults:
         raise DataError(faults)
-    return found
+    return located
 
 
 def _replaying(case: Case, table: Mapping[str, FloatArray], begin: float, first: int) -> Case:
@@ -162,10 +162,12 @@ def _replaying(case: Case, table: Mapping[str, FloatArray], begin: float, first:
         if disturbance.is_known
     }
     undriven = tuple(variable for variable in case.undriven if variable.name in known)
-    told = tuple(case.variable(name) for name in known)
+    known_variables = tuple(case.variable(name) for name in known)
     seen = (*case.outputs, *case.measurements)
-    outputs = tuple(_by_name((*seen, *_charged(case), *(v for v in told if v not in undriven))).values())
-    kinds = (case.inputs, case.outputs, case.measurements, told, outputs)
+    outputs = tuple(
+        _by_name((*seen, *_charged(case), *(v for v in known_variables if v not in undriven))).values()
+    )
+    kinds = (case.inputs, case.outputs, case.measurements, known_variables, outputs)
     u, y, measured, d, values = (
         np.array([table[variable.name] for variable in kind]).reshape(len(kind), count).T for kind in kinds
     )

@@ -672,7 +672,8 @@ class _OfParts(Signal):
         """Return the signal with the random numbers of another seed, other ones in each part."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self.parts), np.uint64).tolist()
         return replace(
-            self, parts=tuple(part.with_seed(own) for part, own in zip(self.parts, seeds, strict=True))
+            self,
+            parts=tuple(part.with_seed(part_seed) for part, part_seed in zip(self.parts, seeds, strict=True)),
         )
 
 
@@ -705,8 +706,8 @@ class Product(_OfParts):
     ) -> Iterator[Reference]:
         factor = Variable(f"factor of {variable.name}", "1")
         for number, part in enumerate(parts):
-            own = replace(part, unit="") if number and isinstance(part, Signal) else part
-            yield in_unit_of(factor if number else variable, own, difference=difference and not number)
+            operand = replace(part, unit="") if number and isinstance(part, Signal) else part
+            yield in_unit_of(factor if number else variable, operand, difference=difference and not number)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""

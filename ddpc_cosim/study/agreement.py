@@ -44,8 +44,8 @@ def compared(
         for key, case in first.items()
         if key in second and (difference := difference_of(case, second[key], absolute, relative))
     ]
-    for own, cases, others in ((results[0], first, second), (results[1], second, first)):
-        lines += [f"{case.id}: only in {own.folder}" for key, case in cases.items() if key not in others]
+    for run, cases, others in ((results[0], first, second), (results[1], second, first)):
+        lines += [f"{case.id}: only in {run.folder}" for key, case in cases.items() if key not in others]
     return len(first.keys() | second.keys()), lines
 
 

@@ -447,7 +447,7 @@ def _code_and_files(case: Case) -> dict[str, Any]:
         "plants": [content_of_plant(name) for name in _plants(case) if name],
     }
     # Ids of other cases do not know of them.
-    if stand_ins := [found for paths in files for path in paths if (found := stand_ins_of_file(path))]:
+    if stand_ins := [of_file for paths in files for path in paths if (of_file := stand_ins_of_file(path))]:
         decisive["stand_ins"] = stand_ins
     return decisive
 

@@ -538,8 +538,8 @@ class _Resolution:
     @independent
     def _check_sampling(self, identified: IdentifiedSpec) -> None:
         """Check that the loop can be sampled so with the models of a plant."""
-        own = identified.logged().recording.sampling_time
-        if fault := sampling_fault(self.study.loop.sampling_time, own):
+        log_sampling_time = identified.logged().recording.sampling_time
+        if fault := sampling_fault(self.study.loop.sampling_time, log_sampling_time):
             self.errors.add(("loop", "sampling_time"), fault, (*_PLANT, "identified"))
 
     @independent

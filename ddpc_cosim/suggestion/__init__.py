@@ -403,9 +403,9 @@ def _propose(
 
     def steps_of(outputs: Sequence[Variable]) -> tuple[dict[str, Reference], float]:
         """Return the references within the limits of the outputs."""
-        found, duration = design.setpoints(tested, choice, outputs, working, sample, request, point.reach)
+        setpoints, duration = design.setpoints(tested, choice, outputs, working, sample, request, point.reach)
         # Of an unstable plant there is nothing else to ask for before it is stabilised.
-        return design.near_rest(tested, choice, outputs, duration) if unstable else found, duration
+        return design.near_rest(tested, choice, outputs, duration) if unstable else setpoints, duration
 
     references, duration = steps_of(limited)
     unlimited, _ = steps_of(point.outputs)

@@ -119,6 +119,6 @@ def embedded_control(
     held = rows[int(_LATER_HALF * _STEPS) :].mean(axis=0)
     if not np.isfinite(held).all():
         return Embedded(tuple(switches))
-    told = {name: outputs.index(y) for name in switches if (y := applied_output(name)) in outputs}
-    levels = {name: float(held[place]) for name, place in told.items() if held[place]}
+    places = {name: outputs.index(y) for name in switches if (y := applied_output(name)) in outputs}
+    levels = {name: float(held[place]) for name, place in places.items() if held[place]}
     return Embedded(tuple(switches), levels, held)

@@ -57,12 +57,12 @@ def with_rates(plant: Plant, resting: Resting, tested: StepTest, fixed_step: flo
     deviation = runs[1] - runs[0]
     pairs = ((j, k) for j in doubling for k in range(len(plant.outputs)) if j != k)
     scales = {(j, k): _scale_of_rate(deviation, step, plant.outputs, j, k) for j, k in pairs}
-    found = {(j, k): scale for (j, k), scale in scales.items() if scale and not scales.get((k, j))}
+    rates = {(j, k): scale for (j, k), scale in scales.items() if scale and not scales.get((k, j))}
     responses = list(tested.responses)
-    for (j, k), scale in found.items():
+    for (j, k), scale in rates.items():
         pairs_of_inputs = zip(tested.responses[j], responses[k], strict=True)
         responses[k] = tuple(_as_unstable(rate, other, scale) for rate, other in pairs_of_inputs)
-    return replace(tested, responses=tuple(responses), rates=frozenset(j for j, _ in found))
+    return replace(tested, responses=tuple(responses), rates=frozenset(j for j, _ in rates))
 
 
 def _as_unstable(rate: Response, other: Response, scale: float) -> Response:

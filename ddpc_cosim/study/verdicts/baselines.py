@@ -68,12 +68,14 @@ def with_baseline(ranking: Standings, cases: Iterable[CaseResult], baseline: str
     """Return standings in which a controller is compared that does not compete, such as a reference point."""
     if not ranking.keys or baseline in ranking.runs[ranking.keys[0]]:
         return ranking
-    own = [case for case in cases if case.controller == baseline and case.scenario not in ranking.left_out]
+    baseline_cases = [
+        case for case in cases if case.controller == baseline and case.scenario not in ranking.left_out
+    ]
     runs = dict(ranking.runs)
     for key, of_key in runs.items():
         values: dict[tuple[Hashable, int], float] = {
             (case.scenario, case.seed): math.nan if case.failed else case.metrics.get(key, math.nan)
-            for case in own
+            for case in baseline_cases
         }
         runs[key] = {**of_key, **({baseline: values} if values else {})}
     return replace(ranking, runs=runs)

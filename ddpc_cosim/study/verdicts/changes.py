@@ -109,9 +109,9 @@ def changes_between(before: "StudyResults", after: "StudyResults") -> Changes:
         pairs = [(first[key], second[key]) for key in shared if key[0] == problem]
         study = before.whole.problems[pairs[0][0].problem]
         ranking = standings(study, [case for case, _ in pairs])
-        own = headline(_keys(pairs), study.metrics.ranking)
-        ranked_by |= dict.fromkeys(own)
-        for key in dict.fromkeys((*own, *_keys(pairs))):
+        headline_keys = headline(_keys(pairs), study.metrics.ranking)
+        ranked_by |= dict.fromkeys(headline_keys)
+        for key in dict.fromkeys((*headline_keys, *_keys(pairs))):
             changes += _changes_of(problem, key, pairs, ranking.relevant_differences.get(key, 0.0))
     return Changes(
         tuple(changes),
