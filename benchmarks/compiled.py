@@ -87,8 +87,11 @@ def _loops(case: Case) -> tuple[float, float]:
 
     A case has two, the experiment and the closed loop.
     """
-    own = program._own_sources()
-    makes = {"generated": own, "by hand": {**own, "loop.c": _HAND_WRITTEN.read_text(encoding="utf-8")}}
+    generated = program._own_sources()
+    makes = {
+        "generated": generated,
+        "by hand": {**generated, "loop.c": _HAND_WRITTEN.read_text(encoding="utf-8")},
+    }
     least, signals = dict.fromkeys(makes, inf), {}
     for _ in range(REPETITIONS):
         for name, sources in makes.items():

@@ -224,12 +224,12 @@ def errors(
     study = Study(problem, dict(controllers), seeds=seeds, name="knowing")
     with tempfile.TemporaryDirectory() as folder:
         results = study.run(Path(folder), jobs=jobs, progress=False)
-        found: dict[str, list[float]] = {}
+        mean_errors: dict[str, list[float]] = {}
         for case in results.cases:
             figures = [value for key, value in case.metrics.items() if key.startswith("mean_abs_error")]
             complete = case.outcome == "completed" and np.isfinite(figures).all()
-            found.setdefault(case.label, []).append(float(np.sum(figures)) if complete else np.inf)
-    return found
+            mean_errors.setdefault(case.label, []).append(float(np.sum(figures)) if complete else np.inf)
+    return mean_errors
 
 
 def tuned(task: Task, mode: str, of_steps: bool, count: int, jobs: int) -> dict[str, Any]:

@@ -55,12 +55,12 @@ def study_of(methods: Sequence[str], seeds: int) -> dict[str, Any]:
     for method in methods:
         tuned = benchmark["controllers"][method]
         for name, satisfaction in ((method, 0.0), (f"{method}-promised", PROMISED)):
-            own = {
+            problems = {
                 problem: {"settings": entry.get("settings", {}) | {"satisfaction": satisfaction}}
                 for problem, entry in islice(tuned["problems"].items(), PROBLEMS)
             }
             settings = tuned.get("settings", {}) | {"satisfaction": satisfaction}
-            controllers[name] = {"type": tuned["type"], "settings": settings, "problems": own}
+            controllers[name] = {"type": tuned["type"], "settings": settings, "problems": problems}
     return {
         "title": "Limits promised and kept",
         "seeds": [f"0:{seeds}"],

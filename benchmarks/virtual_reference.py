@@ -69,9 +69,9 @@ def figures(findings: Findings) -> Iterator[Figure]:
         pairs = [standings.runs[key][name] for name in (TUNED, BASELINE)]
         shared = [run for run, value in pairs[0].items() if math.isfinite(value + pairs[1][run])]
         tuned, base = (median(runs[run] for run in shared) for runs in pairs)
-        told = compared.verdict == Verdict.WORSE or tuned - base > standings.relevant_differences[key]
+        worse = compared.verdict == Verdict.WORSE or tuned - base > standings.relevant_differences[key]
         more = failed[TUNED] - failed[BASELINE]
-        yield Figure(key, tuned / base, compared.verdict, more > 0 or (told and more == 0))
+        yield Figure(key, tuned / base, compared.verdict, more > 0 or (worse and more == 0))
 
 
 def main() -> bool:
@@ -87,7 +87,7 @@ def main() -> bool:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "study.toml"
         file.write_text(STUDY.format(others=others, left_out=left_out), encoding="utf-8")
-        found = (
+        findings_by_problem = (
             Study.read(file)
             .run(
                 Path(folder) / "results",
@@ -99,7 +99,7 @@ def main() -> bool:
             .findings()
         )
     worse: dict[str, bool] = {}
-    for problem, findings in found.items():
+    for problem, findings in findings_by_problem.items():
         failed = findings.standings.failed
         for figure in figures(findings):
             worse[problem] = worse.get(problem, False) or figure.is_worse

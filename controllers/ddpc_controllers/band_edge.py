@@ -71,9 +71,9 @@ class BandEdge(SingleWrapper):
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the controller, and what draws its bands in or makes references of them."""
-        inside, told = self._inner.controller, self._told(loop)
+        inside, inner_loop = self._inner.controller, self._told(loop)
         if code.ahead is None or not self._is_band.any():
-            return inner_step(inside, code, told)
+            return inner_step(inside, code, inner_loop)
         outputs = np.flatnonzero(self._is_band)
         code.kernel("band_edge")
         margins = code.constant(
@@ -90,10 +90,10 @@ class BandEdge(SingleWrapper):
         )
         if self.edge == "both":
             with code.seeing(self._ahead_drawn_in(code.ahead, first)):
-                step = inner_step(inside, code, told)
+                step = inner_step(inside, code, inner_loop)
             return code.step(f"{draw_in}{step}(memory, sample, u, told);")
         with code.seeing(code.ahead.through(lambda sample: sample._replace(**_NOT_TOLD))):
-            step = inner_step(inside, code, told)
+            step = inner_step(inside, code, inner_loop)
         p = len(loop.outputs)
         edge = code.constant(
             "Edge",

@@ -502,8 +502,10 @@ def _standard_error(recording: Recording, a: FloatArray, pole: complex) -> float
     past, now = past / size, recording.y[starts + _LAGS, 0]
     rest = now - past @ np.linalg.lstsq(past, now)[0]
     variance = rest @ rest / max(len(now) - past.shape[1], 1)
-    own = [i * signals.shape[1] for i in range(_LAGS)]
-    covariance = (np.linalg.pinv(past.T @ past) * variance)[np.ix_(own, own)] / np.outer(size[own], size[own])
+    lags = [i * signals.shape[1] for i in range(_LAGS)]
+    covariance = (np.linalg.pinv(past.T @ past) * variance)[np.ix_(lags, lags)] / np.outer(
+        size[lags], size[lags]
+    )
     if pole * 2.0 == a[0]:  # a double pole moves infinitely fast
         return inf
     slope = np.array([pole, 1.0]) / (2.0 * pole - a[0])

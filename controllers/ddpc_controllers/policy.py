@@ -172,11 +172,11 @@ class Policy(Controller):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return how it was trained."""
-        told = "what its file was trained with, which is not told"
+        prior = "what its file was trained with, which is not told"
         if (training := self.training) is not None:
             budget = f"{training.steps:,} steps on seeds {training.seeds}".replace(",", " ")
-            told = f"what its file was trained with: {budget}, by {training.by}"
-        return prior_info(told, loop.outputs, loop.measurements)
+            prior = f"what its file was trained with: {budget}, by {training.by}"
+        return prior_info(prior, loop.outputs, loop.measurements)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what ONNX Runtime holds, which can be loaded again."""

@@ -281,14 +281,14 @@ class SafetyFilter(Promise, SingleWrapper):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the controller's values, the share of interventions, and those of the filter's recording."""
-        own = {**self._diagnostics.as_dict(), **self._judgement.diagnostics}
+        filter_diagnostics = {**self._diagnostics.as_dict(), **self._judgement.diagnostics}
         # The compiled engine makes no step here: nothing is known of how many inputs it changed.
         share = {"intervention_rate": self._interventions / self._steps} if self._steps else {}
         return {
             **super().diagnostics(),
             **share,
             **self.promised(),
-            **{f"filter.{name}": value for name, value in own.items()},
+            **{f"filter.{name}": value for name, value in filter_diagnostics.items()},
         }
 
     def warnings(self) -> Sequence[str]:
@@ -306,8 +306,8 @@ class SafetyFilter(Promise, SingleWrapper):
 
     def recording_length(self, inputs: int, outputs: int, measurements: int, disturbances: int = 0) -> int:
         """Return the fewest samples that controller and filter need."""
-        own = max(least_samples(self._order(outputs), inputs + disturbances), self._depth)
-        return max(own, super().recording_length(inputs, outputs, measurements, disturbances))
+        filter_length = max(least_samples(self._order(outputs), inputs + disturbances), self._depth)
+        return max(filter_length, super().recording_length(inputs, outputs, measurements, disturbances))
 
     @property
     def past_length(self) -> int:

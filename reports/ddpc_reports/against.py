@@ -84,8 +84,8 @@ class Baselines:
 
         It is better if it is told to be so in something, and worse in nothing; None where one did not run.
         """
-        told = [against(self._with(baseline), key, baseline, controller) for key in self.ranking.keys]
-        verdicts = {pair.verdict if pair.is_told else Verdict.LEVEL for pair in told if pair}
+        comparisons = [against(self._with(baseline), key, baseline, controller) for key in self.ranking.keys]
+        verdicts = {pair.verdict if pair.is_told else Verdict.LEVEL for pair in comparisons if pair}
         if not verdicts:
             return None
         telling = verdicts & {Verdict.BETTER, Verdict.WORSE}
@@ -110,19 +110,19 @@ class Baselines:
 def _cell(ranking: Standings, key: str, baseline: str, controller: str) -> Cell:
     if controller == baseline:
         return Cell(_OWN, 0.0, tone="versus")
-    told = against(ranking, key, baseline, controller)
-    if told is None or told.verdict is Verdict.UNKNOWN:
+    comparison = against(ranking, key, baseline, controller)
+    if comparison is None or comparison.verdict is Verdict.UNKNOWN:
         return _NOT_RUN
-    tone = _TONES[told.verdict] if told.is_told else "versus"
-    value = told.difference.median if math.isnan(told.percent) else told.percent
-    return Cell(f"{_size(told, key)} {told.word}", value, tone=tone)
+    tone = _TONES[comparison.verdict] if comparison.is_told else "versus"
+    value = comparison.difference.median if math.isnan(comparison.percent) else comparison.percent
+    return Cell(f"{_size(comparison, key)} {comparison.word}", value, tone=tone)
 
 
-def _size(told: Against, key: str) -> str:
+def _size(comparison: Against, key: str) -> str:
     """Write a difference with its sign: in percent, or in the unit of the metric."""
-    size = told.difference.median if math.isnan(told.percent) else told.percent
+    size = comparison.difference.median if math.isnan(comparison.percent) else comparison.percent
     sign = MINUS if size < 0 else "+" if size > 0 else ""
-    if math.isnan(told.percent):
+    if math.isnan(comparison.percent):
         return sign + with_unit(significant(abs(size), 3), metric_unit(key))
     return f"{sign}{fixed(abs(size), 0 if abs(size) >= 9.95 else 1)}\u00a0%"
 
@@ -185,10 +185,10 @@ class OverallBaselines:
     def _cell(self, baseline: str, controller: str) -> Cell:
         if controller == baseline:
             return Cell(_OWN, 0.0, tone="versus")
-        told = [problem.verdict(baseline, controller) for problem in self.problems]
-        if not any(told):
+        verdicts = [problem.verdict(baseline, controller) for problem in self.problems]
+        if not any(verdicts):
             return _NOT_RUN
-        better, worse = told.count(Verdict.BETTER), told.count(Verdict.WORSE)
+        better, worse = verdicts.count(Verdict.BETTER), verdicts.count(Verdict.WORSE)
         # A tone where no problem says the reverse.
         verdict = Verdict.BETTER if better and not worse else Verdict.WORSE if worse and not better else None
         text = f"{better} better, {worse} worse" if better or worse else "n.\u00a0s."

@@ -22,16 +22,16 @@ _NAIVE = ("var(--ink-soft)", (6.0, 3.0)), ("var(--ink-soft)", (2.0, 3.0))
 
 def log_page(summary: LogSummary) -> str:
     """Return the page."""
-    found = {table.id: replace(table, id=f"s1-{table.id}") for table in summary.tables}
+    tables = {table.id: replace(table, id=f"s1-{table.id}") for table in summary.tables}
     figure = _errors_figure(summary)
     drawn = [("figure", (figure, figure.id))] if figure else []
     sections = [
         Section("next", "What to do next", _texts(summary.advice)),
-        Section("predictions", "How far ahead methods predict", [*drawn, *_table(found, "predictions")]),
-        Section("pairs", "Dead times and gains", _table(found, "pairs")),
-        Section("loop", "Closed loop or open", _table(found, "feedback")),
-        Section("inputs", "How inputs moved", _table(found, "movement")),
-        Section("columns", "Columns", _table(found, "columns")),
+        Section("predictions", "How far ahead methods predict", [*drawn, *_table(tables, "predictions")]),
+        Section("pairs", "Dead times and gains", _table(tables, "pairs")),
+        Section("loop", "Closed loop or open", _table(tables, "feedback")),
+        Section("inputs", "How inputs moved", _table(tables, "movement")),
+        Section("columns", "Columns", _table(tables, "columns")),
         Section("notes", "What this rests on", _texts(summary.notes)),
     ]
     part = StudyPart(

@@ -96,17 +96,17 @@ def _parameter_words(condition: Condition, reliabilities: Sequence[Reliability])
 
 def _goes_with(item: Reliability) -> Markup:
     """Say which parameters stand out, those that go with a figure most closely first."""
-    found: dict[str, list[str]] = {}
+    parameters_of: dict[str, list[str]] = {}
     for association in sorted(item.associations, key=lambda association: -abs(association.size)):
         if association.stands_out:
             which = "larger" if association.size > 0 else "smaller"
             name = clipped(association.parameter.partition(" [")[0])
-            found.setdefault(association.key, []).append(f"a {which} {name} ({_size(association)})")
+            parameters_of.setdefault(association.key, []).append(f"a {which} {name} ({_size(association)})")
     parts = [
         Markup("{} goes with {}").format(
             f"worse {metric_words(key)}" if key else "failure", join_words(parameters)
         )
-        for key, parameters in found.items()
+        for key, parameters in parameters_of.items()
     ]
     return join_words(parts)
 

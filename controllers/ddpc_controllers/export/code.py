@@ -417,7 +417,7 @@ class Code:
         apart : bool
             Whether its numbers stand apart from the code.
         """
-        own = len(self.start)
+        controller_size = len(self.start)
         p, q, m = len(loop.outputs), len(loop.measurements), len(loop.inputs)
         outputs = [variable.name for variable in loop.outputs]
         others = [v.name for v in loop.measurements if v.name not in outputs]
@@ -441,7 +441,7 @@ class Code:
             low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
         start = resting = self._filling(self.start, apart=apart)
         if self.follows and rest is not None:
-            resting = self._filling([*rest, *self.start[own:]], apart=apart)
+            resting = self._filling([*rest, *self.start[controller_size:]], apart=apart)
         further = further_arguments(loop, horizon)
         sizes = {
             "MEASUREMENTS": p + len(others),

@@ -151,10 +151,12 @@ class PlantEquations:
     def __init__(self, model: Any, loop: Loop, given: Mapping[str, float]) -> None:
         ca = casadi()
         signals = measured_signals(loop)
-        driven, told = ([v.name for v in variables] for variables in (loop.inputs, loop.disturbances))
+        driven, disturbance_names = (
+            [v.name for v in variables] for variables in (loop.inputs, loop.disturbances)
+        )
         given_out = {variable.name for variable in (*model.states, *model.outputs)}
-        self._known = [i for i, name in enumerate(told) if name not in given_out]
-        known = [told[i] for i in self._known]
+        self._known = [i for i, name in enumerate(disturbance_names) if name not in given_out]
+        known = [disturbance_names[i] for i in self._known]
         _check_names(model, driven, known, [variable.name for variable in signals], given)
         self.tables = model.tables
         constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)

@@ -246,15 +246,15 @@ def _feedback(recording: Recording, pair: tuple[int, int]) -> tuple[float, Float
     output, chosen = pair
     u, y = (w - w.mean() for w in (recording.u[:, chosen], recording.y[:, output]))
     starts = window_starts(len(u), _WHITENING + 1, recording.seams) + _WHITENING
-    own = [u[starts - i] for i in range(1, _WHITENING + 1)]
+    past_inputs = [u[starts - i] for i in range(1, _WHITENING + 1)]
     seen = [y[starts - i] for i in range(_WHITENING + 1)]
     left = []
-    for columns in (own, own + seen):
+    for columns in (past_inputs, past_inputs + seen):
         scaled = np.column_stack(columns)
         solution, *_ = np.linalg.lstsq(scaled, u[starts], rcond=_NEGLIGIBLE)
         left.append(u[starts] - scaled @ solution)
     alone, both = (float(np.square(rest).sum()) for rest in left)
-    freedom = len(starts) - len(own) - len(seen)
+    freedom = len(starts) - len(past_inputs) - len(seen)
     if freedom <= 0 or alone <= _NEGLIGIBLE * float(np.square(u).sum()):
         return None
     ratio = (alone - both) / len(seen) / max(both / freedom, np.finfo(float).tiny)
@@ -262,5 +262,5 @@ def _feedback(recording: Recording, pair: tuple[int, int]) -> tuple[float, Float
         return None
     excitation = np.zeros(len(u))
     excitation[starts] = left[1]
-    by_own, now, by_seen = np.split(solution, [_WHITENING, _WHITENING + 1])
-    return float(now[0]), np.column_stack([by_own, by_seen]), excitation
+    by_inputs, now, by_seen = np.split(solution, [_WHITENING, _WHITENING + 1])
+    return float(now[0]), np.column_stack([by_inputs, by_seen]), excitation
