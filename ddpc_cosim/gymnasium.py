@@ -503,16 +503,19 @@ class _Costs:
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])
                 for kind, variables in kinds
             ]
-        self._worst, self._of_errors = float(errors @ sizes), list(enumerate(errors.tolist()))
+        self._worst = float(errors @ sizes)
+        self._of_errors = [(i, weight) for i, weight in enumerate(errors.tolist()) if weight]
+        self._wanted, self._is = store.reference.item, store.y.item
+        if self._charges:
+            self._price, self._charged = store.more["price"].item, store.more["charged"].item
         if self._squares:
             self._worst += self._squares * float(self._of_squares[0] @ sizes**2)
 
     def of(self, k: int) -> float:
         """Return what sample k costs, whose inputs have been held."""
         store, cost = self._store, 0.0
-        wanted, y = store.reference.item, store.y.item
         for i, weight in self._of_errors:
-            cost += abs(wanted(k, i) - y(k, i)) * weight
+            cost += abs(self._wanted(k, i) - self._is(k, i)) * weight
         if self._squares:
             error = store.reference[k] - store.y[k]
             u = store.u[k] - self._rest
@@ -533,18 +536,16 @@ class _Costs:
 
     def _paid(self, k: int) -> float:
         """Return what is paid from sample k to the next one, as the trace's metric has it."""
-        paid, tables = 0.0, self._store.more
-        price, charged = tables["price"].item, tables["charged"].item
+        paid, charged = 0.0, self._charged
         for i, amount, is_held, between in self._charges:
             mean = charged(k, i)
             if not is_held:
                 values = [mean]
                 if between is not None:
-                    values += tables["intersample"][k, between].tolist()
-                if k + 1 < self._store.count:
-                    values.append(charged(k + 1, i))
+                    values += self._store.more["intersample"][k, between].tolist()
+                values.append(charged(k + 1, i))  # NaN where a fault has ended the interval
                 mean = self._mean(values)
-            paid += price(k, i) * amount * mean
+            paid += self._price(k, i) * amount * mean
         return paid
 
     def _mean(self, values: list[float]) -> float:

@@ -90,8 +90,7 @@ class Observation:
         parts.append(sample.setpoint)
         if self._preview:
             parts.append(sample.reference[: self._preview].ravel())
-        for name, rows in further:
-            parts.append(getattr(sample, name)[:rows].ravel())
+        parts += [getattr(sample, name)[:rows].ravel() for name, rows in further]
         return np.concatenate(parts)
 
 

@@ -834,6 +834,8 @@ class _Rows:
             tables["monitored_band"] = self._setup.monitored_band(self.time)
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
+        if "charged" in self.store.more:  # what is not known yet
+            self.store.more["charged"][:] = np.nan
         self._issues = range(0)
         if "forecast" in self.store.more:
             self._issues = self._setup.disturbances.issues(outlook.horizon, count)
@@ -867,26 +869,27 @@ class _Rows:
         The sample is that of number ``first`` + k since the plant was set up.
         """
         measured = self._setup.measure(first + k, y_plant)
+        time = self.time.item(k)
+        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
         if self.store.more:
-            self._begin_further(k, measured, y_plant)
+            self._begin_further(k, measured, sample, y_plant)
         self.store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
-        time = self.time.item(k)
-        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
         if k in self._issues:
             self._keep_forecast(k, sample.forecast)
         return sample, measured
 
-    def _begin_further(self, k: int, measured: Measured, y_plant: FloatArray) -> None:
+    def _begin_further(self, k: int, measured: Measured, sample: Sample, y_plant: FloatArray) -> None:
         """Keep in row k of the further tables what was measured."""
         setup, more = self._setup, self.store.more
-        if self.outlook.has_bands:
-            self.store.reference[k] = self.outlook.nearest(k, measured.y)
+        if self.outlook.has_bands:  # of what a controller sees, or of what is
+            is_seen = measured.seen is measured.y
+            self.store.reference[k] = sample.setpoint if is_seen else self.outlook.nearest(k, measured.y)
         if measured.told.size:
             more["d"][k] = measured.told
         if setup.charged.charges:
-            more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
+            setup.charged.keep_outputs(more["charged"][k], measured.all_outputs)
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
         if self._intersample is not None:
@@ -907,9 +910,7 @@ class _Rows:
         held = clip_inputs(decision, *self.outlook.input_limits(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.amounts(
-                applied, measured.all_outputs, controls_itself=controls_itself
-            )
+            setup.charged.keep_inputs(store.more["charged"][k], applied, controls_itself=controls_itself)
         given = setup.actuators.changed(applied)
         u = setup.commanded(held.u) if controls_itself and self._seen is None else held.u
         store.complete(k, u, held.status, held.seconds, given, held.info)
