@@ -820,6 +820,7 @@ class _Rows:
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
         self.outlook, count = outlook, len(self.time)
+        self.store.clear()
         self.store.reference[:] = outlook.wish.reference[:count]
         price, emission = self._setup.charged.prices_at(self.time)
         inputs = len(self._setup.inputs)

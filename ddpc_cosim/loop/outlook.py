@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ddpc_cosim.controller import Bounds, Charge, Sample
@@ -248,6 +249,18 @@ class Expected:
         return foretold
 
 
+def _narrowest(lower: FloatArray, upper: FloatArray, samples: int) -> list[list[list[float]]]:
+    """Return what is within all bands of so many samples, by the first of them and output."""
+    if len(lower) < samples:
+        return []
+    ends = (
+        sliding_window_view(lower, samples, axis=0).max(axis=-1),
+        sliding_window_view(upper, samples, axis=0).min(axis=-1),
+    )
+    within: list[list[list[float]]] = np.stack(ends, axis=-1).tolist()
+    return within
+
+
 class Outlook:
     """What controllers may look at from each sample of a run on.
 
@@ -292,6 +305,7 @@ class Outlook:
         # What is read at every sample lies in one piece of memory each.
         edges = wish.band if self.has_bands else wish.band[:0]
         self._lower, self._upper = edges[..., 0].copy(), edges[..., 1].copy()
+        self._within = _narrowest(self._lower, self._upper, 1 + min(horizon, preview))
         inputs = len(limits.bounds.u_min)
         self._input_limits, self._output_limits = limits.table[:, :inputs], limits.table[:, inputs:]
         if limits.moving:
@@ -312,6 +326,18 @@ class Outlook:
         now = self._input_limits[k]
         return now[:, 0], now[:, 1]
 
+    def _ahead(self, k: int, rows: Any, y: FloatArray) -> FloatArray:
+        """Return the nearest points in rows from k on: y itself where it is within all bands there.
+
+        That it mostly is, and it is seen in less time than NumPy takes.
+        """
+        for value, (lower, upper) in zip(y.tolist(), self._within[k], strict=True):
+            if not lower <= value <= upper:
+                return self.nearest(rows, y)
+        reference: FloatArray = np.empty((self.horizon + 1, len(y)))
+        reference[:] = y
+        return reference
+
     def nearest(self, rows: Any, y: FloatArray) -> FloatArray:
         """Return the reference at a sample or in rows, of a band its point nearest to the outputs y.
 
@@ -329,7 +355,7 @@ class Outlook:
         """Return what a controller sees at sample k of outputs, measurements and disturbances as measured."""
         rows: Any = slice(k, k + 1 + self.horizon) if self._sees_all else k + self._known
         band = self.wish.band[rows]
-        reference = self.nearest(rows, y) if self.has_bands else self.wish.reference[rows]
+        reference = self._ahead(k, rows, y) if self.has_bands else self.wish.reference[rows]
         input_limits, output_limits = self._fixed_limits or self._limits(rows)
         forecast = self._no_forecast
         if disturbance.size:
