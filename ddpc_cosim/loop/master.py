@@ -813,9 +813,11 @@ class _Rows:
         self._seen_elsewhere: FloatArray | None = None
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
-        self._shift = np.zeros(len(setup.intersample))
+        self._shift: FloatArray | None = None
         between = None if keeps_seen else self.store.more.get("intersample")
-        self._intersample = None if between is None else between.reshape(len(time), -1, len(self._shift))
+        self._intersample = (
+            None if between is None else between.reshape(len(time), -1, len(setup.intersample))
+        )
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
@@ -896,7 +898,9 @@ class _Rows:
         if self._intersample is not None:
             self._intersample[k] = np.nan
             # A disturbance of an output is held over the sampling interval.
-            self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
+            self._shift = None
+            if measured.all_outputs is not y_plant:
+                self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
 
     def complete(
         self, k: int, first: int, measured: Measured, decision: Decision, *, controls_itself: bool
@@ -920,7 +924,8 @@ class _Rows:
     def write_between(self, k: int, i: int, y_plant: FloatArray) -> None:
         """Keep the plant's outputs at the end of communication step i < n - 1 of those after sample k."""
         if self._intersample is not None:
-            self._intersample[k, i] = y_plant[self._setup.intersample] + self._shift
+            y = y_plant[self._setup.intersample]
+            self._intersample[k, i] = y if self._shift is None else y + self._shift
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
         """Keep what is expected of the samples after k in their rows."""
