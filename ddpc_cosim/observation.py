@@ -90,7 +90,9 @@ class Observation:
         parts.append(sample.setpoint)
         if self._preview:
             parts.append(sample.reference[: self._preview].ravel())
-        parts += [getattr(sample, name)[:rows].ravel() for name, rows in further]
+        for name, rows in further:
+            part = getattr(sample, name)
+            parts.append((part if len(part) == rows else part[:rows]).ravel())
         return np.concatenate(parts)
 
 

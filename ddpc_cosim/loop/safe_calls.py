@@ -502,11 +502,14 @@ def plant_fault(words: str, error: BaseException, time: float) -> FMUStepError:
 def plant_outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:
     """Return a plant's answer if it can be its outputs; whether they are finite, the loop checks."""
     size = len(plant.outputs)
-    if y.shape != (size,) or y.dtype.kind not in _REAL_KINDS:
-        needed = f"needed: real numbers, shape ({size},)"
-        message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {shown(time)}"
-        raise FMUStepError(message, StepStatus.CRASHED, time)
-    return y if y.dtype is _FLOAT64 else np.asarray(y, dtype=np.float64)
+    if y.shape == (size,):
+        if y.dtype is _FLOAT64:
+            return y
+        if y.dtype.kind in _REAL_KINDS:
+            return np.asarray(y, dtype=np.float64)
+    needed = f"needed: real numbers, shape ({size},)"
+    message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {shown(time)}"
+    raise FMUStepError(message, StepStatus.CRASHED, time)
 
 
 def _returned(answer: NDArray[Any]) -> str:
