@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ddpc_cosim.controller import Controller, Loop, Sample
-from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
-from ddpc_cosim.loop.master import Question, Resumption, Steps, answer
-from ddpc_cosim.loop.safe_calls import close_plant, serialise_plant
+from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, MissingLibraryError
+from ddpc_cosim.loop.master import Question, Resumption, Steps
+from ddpc_cosim.loop.safe_calls import close_plant, decision_of, serialise_plant
 from ddpc_cosim.loop.trace import Outcome, Trace
 from ddpc_cosim.metrics import headline, keys_named, split_key
 from ddpc_cosim.observation import Observation
@@ -270,26 +270,33 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
         ConfigError
             There is no episode, or the action has another shape.
         """
-        run, agent, k = self._run, self._agent, self._k
+        run, k = self._run, self._k
         if run is None:
             raise ConfigError("there is no episode: call reset() first")
         action = np.asarray(action)
         if action.shape != self._shape:
             shape = f"shape {action.shape}; needed: {self._shape}"
             raise ConfigError(f"action: {shape}: {', '.join(self.action_names)}")
-        agent.action = action
         try:
-            question = self._question = answer(run, self._question)
+            question = self._question = self._answer(run, action)
         except StopIteration as end:
             return self._failed(end.value)
         self._k, sample = k + 1, question[1]
         info: dict[str, Any] = {"time": sample.time}
         if is_last := self._k == self._costs.samples:
             try:  # the last sample of a run is answered too, which acts no more
-                answer(run, question)
+                self._answer(run, action)
             except StopIteration as end:
                 info |= self._keep(end.value)
         return self._observation.of(sample), -self._costs.of(k), False, is_last, info
+
+    def _answer(self, run: Steps[Trace], action: FloatArray) -> Question:
+        """Let the run go on with an action and return what it asks next, as :func:`master.answer` does."""
+        try:
+            decision = decision_of(self._agent, action, 0.0, len(action))
+        except ControllerError as error:
+            return run.throw(error)
+        return run.send(decision)
 
     def _failed(self, trace: Trace) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Return what a step returns that a fault has ended, or the plant."""
@@ -377,15 +384,14 @@ class Agent(Controller):
 
     def __init__(self, horizon: int) -> None:
         self.horizon = horizon
-        self.action: FloatArray = np.empty(0)
 
     def start(self, loop: Loop) -> None:
         """Keep what is known of the loop."""
         self.loop = loop
 
     def step(self, sample: Sample) -> FloatArray:
-        """Return the action, which has been chosen at this sample, shape (m,)."""
-        return self.action
+        """Is not asked: actions are given."""
+        raise NotImplementedError
 
 
 def _going_on(case: Case, state: Any) -> Case:
@@ -503,16 +509,19 @@ class _Costs:
                 np.array([case.metrics.cost.get(kind, {}).get(name, 0.0) for name in names(variables)])
                 for kind, variables in kinds
             ]
-        self._worst, self._of_errors = float(errors @ sizes), list(enumerate(errors.tolist()))
+        self._worst = float(errors @ sizes)
+        self._of_errors = [(i, weight) for i, weight in enumerate(errors.tolist()) if weight]
+        self._wanted, self._is = store.reference.item, store.y.item
+        if self._charges:
+            self._price, self._charged = store.more["price"].item, store.more["charged"].item
         if self._squares:
             self._worst += self._squares * float(self._of_squares[0] @ sizes**2)
 
     def of(self, k: int) -> float:
         """Return what sample k costs, whose inputs have been held."""
         store, cost = self._store, 0.0
-        wanted, y = store.reference.item, store.y.item
         for i, weight in self._of_errors:
-            cost += abs(wanted(k, i) - y(k, i)) * weight
+            cost += abs(self._wanted(k, i) - self._is(k, i)) * weight
         if self._squares:
             error = store.reference[k] - store.y[k]
             u = store.u[k] - self._rest
@@ -533,18 +542,17 @@ class _Costs:
 
     def _paid(self, k: int) -> float:
         """Return what is paid from sample k to the next one, as the trace's metric has it."""
-        paid, tables = 0.0, self._store.more
-        price, charged = tables["price"].item, tables["charged"].item
+        paid, charged = 0.0, self._charged
         for i, amount, is_held, between in self._charges:
             mean = charged(k, i)
             if not is_held:
-                values = [mean]
-                if between is not None:
-                    values += tables["intersample"][k, between].tolist()
-                if k + 1 < self._store.count:
-                    values.append(charged(k + 1, i))
-                mean = self._mean(values)
-            paid += price(k, i) * amount * mean
+                end = charged(k + 1, i)  # NaN where a fault has ended the interval
+                if self._steps == 1 and not math.isnan(mean + end):
+                    mean = (mean + end) / 2.0
+                else:
+                    inner = [] if between is None else self._store.more["intersample"][k, between].tolist()
+                    mean = self._mean([mean, *inner, end])
+            paid += self._price(k, i) * amount * mean
         return paid
 
     def _mean(self, values: list[float]) -> float:

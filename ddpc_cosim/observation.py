@@ -91,7 +91,8 @@ class Observation:
         if self._preview:
             parts.append(sample.reference[: self._preview].ravel())
         for name, rows in further:
-            parts.append(getattr(sample, name)[:rows].ravel())
+            part = getattr(sample, name)
+            parts.append((part if len(part) == rows else part[:rows]).ravel())
         return np.concatenate(parts)
 
 

@@ -348,6 +348,10 @@ class Actuators:
         if in_experiment:
             stream, signals = _EXPERIMENT_SIGNALS, {**signals, **conditions.recorded_inputs}
         self._own = _sums("inputs", signals, self._others, whole, (seed, stream))
+        # What the plant is given at each time, but for what is driven.
+        driven, others = self._places
+        self._given = np.empty((len(time), len(driven) + len(others)))
+        self._given[:, others] = self._own[: len(time)]
         self._added = None if in_experiment else _disturbances(conditions, self._driven, time, seed)
 
     def apply(self, k: int, u: FloatArray) -> FloatArray:
@@ -360,9 +364,8 @@ class Actuators:
             u = effect.apply(k, u)
         if self._added is not None:
             u = u + self._added[k]
-        driven, others = self._places
-        applied = np.empty(len(driven) + len(others))
-        applied[driven], applied[others] = u, self._own[k]
+        applied: FloatArray = self._given[k].copy()
+        applied[self._places[0]] = u
         return applied
 
     def course(self, name: str) -> FloatArray:
@@ -393,7 +396,9 @@ class MixedNormal:
     def draw(self, size: int | tuple[int, int]) -> FloatArray:
         """Return the next so many numbers."""
         (first, weight), *others = self.streams
-        drawn = weight * first.standard_normal(size)
+        drawn = first.standard_normal(size)
+        if weight != 1.0:
+            drawn *= weight
         for stream, its_weight in others:
             drawn += its_weight * stream.standard_normal(size)
         return drawn

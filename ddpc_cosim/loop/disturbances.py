@@ -164,12 +164,17 @@ class ActingDisturbances:
         """Prepare for a run for which the actuators have been started; it may go on from the one before."""
         if self.inputs:
             self._courses = np.column_stack([actuators.course(variable.name) for variable in self.inputs])
+            # What is known before the run of a row of all that is sensed: a sample only adds the outputs.
+            self._sensed = np.empty((len(self._courses), len(self.sensed)))
+            self._sensed[:, -len(self.inputs) :] = self._courses
         if not continues:
             self._past = list[FloatArray]()
 
     def with_inputs(self, k: int, y_plant: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, and after them the disturbances that are inputs."""
-        return np.concatenate([y_plant, self._courses[k]])
+        row: FloatArray = self._sensed[k]
+        row[: len(y_plant)] = y_plant
+        return row
 
     def measured(self, y: FloatArray, seen: FloatArray) -> FloatArray:
         """Return them as measured, the last value in place of one that is missing, or late, shape (n,).

@@ -813,13 +813,16 @@ class _Rows:
         self._seen_elsewhere: FloatArray | None = None
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
-        self._shift = np.zeros(len(setup.intersample))
+        self._shift: FloatArray | None = None
         between = None if keeps_seen else self.store.more.get("intersample")
-        self._intersample = None if between is None else between.reshape(len(time), -1, len(self._shift))
+        self._intersample = (
+            None if between is None else between.reshape(len(time), -1, len(setup.intersample))
+        )
 
     def look(self, outlook: Outlook) -> None:
         """Take what controllers may look at, and keep what is known before the run."""
         self.outlook, count = outlook, len(self.time)
+        self.store.clear()
         self.store.reference[:] = outlook.wish.reference[:count]
         price, emission = self._setup.charged.prices_at(self.time)
         inputs = len(self._setup.inputs)
@@ -834,6 +837,8 @@ class _Rows:
             tables["monitored_band"] = self._setup.monitored_band(self.time)
         for name in tables.keys() & self.store.more.keys():
             self.store.more[name][:] = tables[name][:count]
+        if "charged" in self.store.more:  # what is not known yet
+            self.store.more["charged"][:] = np.nan
         self._issues = range(0)
         if "forecast" in self.store.more:
             self._issues = self._setup.disturbances.issues(outlook.horizon, count)
@@ -867,32 +872,35 @@ class _Rows:
         The sample is that of number ``first`` + k since the plant was set up.
         """
         measured = self._setup.measure(first + k, y_plant)
+        time = self.time.item(k)
+        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
         if self.store.more:
-            self._begin_further(k, measured, y_plant)
+            self._begin_further(k, measured, sample, y_plant)
         self.store.begin(k, measured.y, measured.measured)
         if self._seen is not None:
             self._seen.append((measured.seen.copy(), measured.d))
-        time = self.time.item(k)
-        sample = self.outlook.sample(k, time, measured.seen, measured.measured, measured.told)
         if k in self._issues:
             self._keep_forecast(k, sample.forecast)
         return sample, measured
 
-    def _begin_further(self, k: int, measured: Measured, y_plant: FloatArray) -> None:
+    def _begin_further(self, k: int, measured: Measured, sample: Sample, y_plant: FloatArray) -> None:
         """Keep in row k of the further tables what was measured."""
         setup, more = self._setup, self.store.more
-        if self.outlook.has_bands:
-            self.store.reference[k] = self.outlook.nearest(k, measured.y)
+        if self.outlook.has_bands:  # of what a controller sees, or of what is
+            is_seen = measured.seen is measured.y
+            self.store.reference[k] = sample.setpoint if is_seen else self.outlook.nearest(k, measured.y)
         if measured.told.size:
             more["d"][k] = measured.told
         if setup.charged.charges:
-            more["charged"][k] = setup.charged.of_outputs(measured.all_outputs)
+            setup.charged.keep_outputs(more["charged"][k], measured.all_outputs)
         if self._monitored is not None:
             self._monitored[k] = measured.all_outputs[setup.monitored]
         if self._intersample is not None:
             self._intersample[k] = np.nan
             # A disturbance of an output is held over the sampling interval.
-            self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
+            self._shift = None
+            if measured.all_outputs is not y_plant:
+                self._shift = measured.all_outputs[setup.intersample] - y_plant[setup.intersample]
 
     def complete(
         self, k: int, first: int, measured: Measured, decision: Decision, *, controls_itself: bool
@@ -907,9 +915,7 @@ class _Rows:
         held = clip_inputs(decision, *self.outlook.input_limits(k))
         applied = setup.actuators.apply(first + k, held.u)
         if setup.charged.charges:
-            store.more["charged"][k] = setup.charged.amounts(
-                applied, measured.all_outputs, controls_itself=controls_itself
-            )
+            setup.charged.keep_inputs(store.more["charged"][k], applied, controls_itself=controls_itself)
         given = setup.actuators.changed(applied)
         u = setup.commanded(held.u) if controls_itself and self._seen is None else held.u
         store.complete(k, u, held.status, held.seconds, given, held.info)
@@ -918,7 +924,8 @@ class _Rows:
     def write_between(self, k: int, i: int, y_plant: FloatArray) -> None:
         """Keep the plant's outputs at the end of communication step i < n - 1 of those after sample k."""
         if self._intersample is not None:
-            self._intersample[k, i] = y_plant[self._setup.intersample] + self._shift
+            y = y_plant[self._setup.intersample]
+            self._intersample[k, i] = y if self._shift is None else y + self._shift
 
     def _keep_forecast(self, k: int, expected: FloatArray) -> None:
         """Keep what is expected of the samples after k in their rows."""

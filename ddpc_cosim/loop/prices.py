@@ -51,7 +51,7 @@ class ChargedSignals:
         inputs, outputs = names(plant.inputs), names(plant.outputs)
         seen = {*names(measured)}
         faults, charges = list[str](), list[Charge]()
-        self._places = list[tuple[bool, int]]()
+        self._inputs, self._outputs = list[tuple[int, int]](), list[tuple[int, int]]()
         for name, price in prices.items():
             is_input = price.signal in inputs
             if price.signal not in seen and not is_input:
@@ -64,7 +64,7 @@ class ChargedSignals:
             place = (inputs if is_input else outputs).index(price.signal)
             try:
                 charges.append(price.charge(name, (plant.inputs if is_input else plant.outputs)[place]))
-                self._places.append((is_input, place))
+                (self._inputs if is_input else self._outputs).append((len(charges) - 1, place))
             except ConfigError as error:
                 faults += [f"prices: {name}: {fault}" for fault in error.faults]
         money = {charge.unit: charge.name for charge in charges}
@@ -80,18 +80,18 @@ class ChargedSignals:
         """The prices over time, by what errors call them."""
         return {f"prices: {name}": price.price for name, price in self.prices.items()}
 
-    def of_outputs(self, outputs: FloatArray) -> list[float]:
-        """Return what the plant has of each price's signal: NaN of inputs, which are not known yet."""
-        return [math.nan if is_input else outputs.item(i) for is_input, i in self._places]
+    def keep_outputs(self, amounts: FloatArray, outputs: FloatArray) -> None:
+        """Put what the plant has of the outputs that are charged among the amounts of all prices."""
+        for column, i in self._outputs:
+            amounts[column] = outputs[i]
 
-    def amounts(self, applied: FloatArray, outputs: FloatArray, *, controls_itself: bool) -> list[float]:
-        """Return what the plant has of each price's signal, given all its inputs and outputs.
+    def keep_inputs(self, amounts: FloatArray, applied: FloatArray, *, controls_itself: bool) -> None:
+        """Put there what it has of the inputs that are charged, given all its inputs.
 
-        Of inputs that are left to a plant that controls itself, it is not known.
+        Of those that are left to a plant that controls itself, it is not known.
         """
-        if controls_itself:
-            applied = np.where(self._is_left, np.nan, applied)
-        return [(applied if is_input else outputs).item(i) for is_input, i in self._places]
+        for column, i in self._inputs:
+            amounts[column] = math.nan if controls_itself and self._is_left[i] else applied[i]
 
     def prices_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return prices and emissions per amount at times [s], both of shape (len(time), n_prices)."""

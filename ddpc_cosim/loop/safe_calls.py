@@ -315,18 +315,22 @@ def does_accept_missing(controller: Controller) -> bool:
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
-    status, info = OK, _NO_INFO
     with _ControllerCall(controller, "step", allowed=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
-        seconds = perf_counter() - started
-        if isinstance(answer, Action):
-            info = {name: _info_value(controller, name, value) for name, value in answer.info.items()}
-            status, answer = recorded(answer.status), answer.u
-        u = np.asarray(answer)
-        if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not _are_finite(u):
-            needed = f"needed: finite values, shape ({inputs},)"
-            raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
+        return decision_of(controller, answer, perf_counter() - started, inputs)
+
+
+def decision_of(controller: Controller, answer: object, seconds: float, inputs: int) -> Decision:
+    """Return what a controller has answered if it can be its inputs, shape (inputs,), which are finite."""
+    status, info = OK, _NO_INFO
+    if isinstance(answer, Action):
+        info = {name: _info_value(controller, name, value) for name, value in answer.info.items()}
+        status, answer = recorded(answer.status), answer.u
+    u = np.asarray(answer)
+    if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not _are_finite(u):
+        needed = f"needed: finite values, shape ({inputs},)"
+        raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
     return Decision(u, status, seconds, info)
 
 
@@ -498,11 +502,14 @@ def plant_fault(words: str, error: BaseException, time: float) -> FMUStepError:
 def plant_outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:
     """Return a plant's answer if it can be its outputs; whether they are finite, the loop checks."""
     size = len(plant.outputs)
-    if y.shape != (size,) or y.dtype.kind not in _REAL_KINDS:
-        needed = f"needed: real numbers, shape ({size},)"
-        message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {shown(time)}"
-        raise FMUStepError(message, StepStatus.CRASHED, time)
-    return y if y.dtype is _FLOAT64 else np.asarray(y, dtype=np.float64)
+    if y.shape == (size,):
+        if y.dtype is _FLOAT64:
+            return y
+        if y.dtype.kind in _REAL_KINDS:
+            return np.asarray(y, dtype=np.float64)
+    needed = f"needed: real numbers, shape ({size},)"
+    message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {shown(time)}"
+    raise FMUStepError(message, StepStatus.CRASHED, time)
 
 
 def _returned(answer: NDArray[Any]) -> str:

@@ -162,13 +162,15 @@ class RowStore:
         self._times[_TIME] = time
         self._numbers_of[_CALLS] += not is_within
 
+    def clear(self) -> None:
+        """Have every row that will be begun say that its controller has not decided yet."""
+        for table in (self.u, self.solve_time, self.applied):
+            table.fill(np.nan)
+        self._status.fill(self._texts[_FAILED])
+
     def begin(self, k: int, y: FloatArray, measured: FloatArray) -> None:
-        """Begin row k, whose controller has not decided yet."""
+        """Begin row k."""
         self.y[k], self.measured[k] = y, measured
-        self.u[k] = self.solve_time[k] = np.nan
-        if self.applied.size:
-            self.applied[k] = np.nan
-        self._status[k] = self._texts[_FAILED]
         self._numbers_of[_ROWS] = k + 1
 
     def complete(
