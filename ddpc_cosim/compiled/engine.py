@@ -1,9 +1,11 @@
 """The compiled engine: the samples of a loop in C, where all that acts in it is known there."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from ctypes import c_double, c_int64, c_void_p
 from dataclasses import fields, is_dataclass, replace
+from itertools import accumulate
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.compiled.program import NO_CONTROLLER, Program, effect_numbers, program_of
 from ddpc_cosim.conditions import HELD, all_conditions
 from ddpc_cosim.conditions.condition import Condition
-from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop
+from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop, further_arguments
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.co_simulation import StepInC
 from ddpc_cosim.fmu.plant import FMUPlant
@@ -59,16 +61,25 @@ class _Loop(ctypes.Structure):
         ("n_actuators", c_int64),
         *((name, c_void_p) for name in ("input_disturbance", "own_inputs", "own")),
         ("n_own", c_int64),
-        *((name, c_void_p) for name in ("output_disturbance", "before_noise")),
+        ("n_sensed", c_int64),
+        *((name, c_void_p) for name in ("courses", "output_disturbance", "before_noise")),
         ("n_before_noise", c_int64),
         ("noise", c_void_p),
         ("n_noise", c_int64),
         ("after_noise", c_void_p),
         ("n_after_noise", c_int64),
         ("loses", c_int64),
-        *((name, c_void_p) for name in ("commands", "controller", "reference", "low", "high")),
-        *((name, c_void_p) for name in ("plant_outputs", "last_seen", "scratch")),
-        *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied", "status")),
+        *((name, c_void_p) for name in ("commands", "controller", "reference")),
+        *((name, c_int64) for name in ("preview", "band")),
+        ("further", c_void_p),
+        ("n_further", c_int64),
+        ("disturbances", c_void_p),
+        ("n_disturbances", c_int64),
+        ("told", c_void_p),
+        ("n_told", c_int64),
+        *((name, c_void_p) for name in ("low", "high", "plant_outputs", "last_seen", "scratch")),
+        *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied")),
+        *((name, c_void_p) for name in ("d", "actual", "given", "status")),
     ]
 
 
@@ -134,11 +145,7 @@ def reason_against(run: Run) -> str:
         return "the experiment has a stabilising controller"
     there = {
         "steps between samples": setup.substeps > 1,
-        "known disturbances": setup.disturbances.declared,
-        "bands": loop.bands,
-        "limits that move": loop.moving_limits,
-        "prices": loop.charges,
-        "monitored outputs": setup.monitors,
+        "disturbances that are measured late": setup.disturbances.are_late,
         "a warm-up": run.first,
         "a start at the recording's end": loop.continues_recording or loop.past,
     }
@@ -185,7 +192,7 @@ class CompiledRun:
     """
 
     def __init__(self, run: Run, code: ControllerCode) -> None:
-        self._run, setup, store = run, run.setup, run.store
+        self._run, setup, store, loop = run, run.setup, run.store, run.loop
         rows = len(store.y)
         commands = run.controller.excitation if isinstance(run.controller, ExcitingController) else None
         self._code = code
@@ -198,10 +205,12 @@ class CompiledRun:
         controlled = names(setup.outputs)
         others = [i for i, v in enumerate(setup.measurements) if v.name not in controlled]
         self.plant_outputs = np.array(run.y_plant, dtype=np.float64)
-        n = len(self.plant_outputs)
+        disturbances, n = setup.disturbances, len(setup.disturbances.sensed)
+        self._further = _Further(run, rows)
         self._status: NDArray[np.uint32] = np.zeros(rows, np.uint32)
         self._keep: list[Any] = []
-        bounds = run.outlook.limits.bounds
+        ahead = (1 + loop.preview) * len(outputs) + self._further.width
+        limits = run.outlook.limits.table[:rows, : len(setup.inputs)]
         self._loop = _Loop(
             first=run.first,
             p=len(outputs),
@@ -219,6 +228,8 @@ class CompiledRun:
             own_inputs=self._address(actuators.own),
             own=self._address(actuators.others, np.int64),
             n_own=len(actuators.others),
+            n_sensed=n,
+            courses=self._address(disturbances.courses) if disturbances.inputs else None,
             output_disturbance=self._address(sensors.added),
             **self._effects("before_noise", sensors.before_noise),
             noise=self._address(sensors.noise),
@@ -227,16 +238,27 @@ class CompiledRun:
             loses=(2 if sensors.holds else 1) if sensors.loses else 0,
             commands=self._address(commands),
             reference=self._address(run.outlook.wish.reference),
-            low=self._address(bounds.u_min),
-            high=self._address(bounds.u_max),
+            preview=loop.preview,
+            band=self._further.band,
+            further=self._address(self._further.table),
+            n_further=self._further.width,
+            disturbances=self._address(disturbances.places, np.int64),
+            n_disturbances=len(disturbances.places),
+            told=self._address(disturbances.told_places, np.int64),
+            n_told=len(disturbances.told_places),
+            low=self._address(limits[..., 0]),
+            high=self._address(limits[..., 1]),
             plant_outputs=self._address(self.plant_outputs),
             last_seen=self._address(np.full(n, np.nan)),
-            scratch=self._address(np.empty(3 * n + len(setup.plant.inputs))),
+            scratch=self._address(np.empty(3 * n + len(setup.plant.inputs) + ahead)),
             y=self._address(store.y),
             seen=self._address(run.seen),
             measurements=self._address(store.measured),
             u=self._address(store.u),
             applied=self._address(store.applied),
+            d=self._address(run.d) if run.d.size else None,
+            actual=self._address(self._further.actual),
+            given=self._address(self._further.given),
             status=self._address(self._status, np.uint32),
         )
         if commands is None:
@@ -274,6 +296,7 @@ class CompiledRun:
         ended = plant.in_c(self._run.setup.sampling_time, run)
         if ended is None or ended == _PLANT_FAILED:
             raise NeedsPythonError("the plant is not stepped from C")
+        self._further.take(begin, progress.rows)
         store.take(begin, progress.rows, self._texts(self._status[begin : progress.rows]))
         if ended != _DONE:
             require_finite(self.plant_outputs, plant)
@@ -310,6 +333,82 @@ class CompiledRun:
         table = np.ascontiguousarray(values, dtype=kind)
         self._keep.append(table)
         return table.ctypes.data
+
+
+class _Further:
+    """What a run has besides measurements, references and inputs.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    rows : int
+        K, the number of its samples.
+
+    Attributes
+    ----------
+    table : array, shape (K, width), or None
+        What follows the references in ``r`` of a step; NaN where C knows what was measured. None: nothing.
+    width : int
+        Its columns.
+    band : int
+        The first of them that is an edge of a band; -1: there is none.
+    actual : array, shape (K, sensed), or None
+        Where signals go as they are, if they are wanted.
+    given : array, shape (K, inputs), or None
+        Where all inputs of the plant go, if they are wanted.
+    """
+
+    def __init__(self, run: Run, rows: int) -> None:
+        self._run, self._more, setup = run, run.store.more, run.setup
+        self._is_priced = bool(setup.charged.charges)
+        wants_signals = self._is_priced or "monitored" in self._more
+        self.actual = np.empty((rows, len(setup.disturbances.sensed))) if wants_signals else None
+        self.given = np.empty((rows, len(setup.plant.inputs))) if self._is_priced else None
+        self._issues = dict[int, FloatArray]()
+        is_driven_in_c = not isinstance(run.controller, ExcitingController)
+        shapes = further_arguments(run.loop, run.outlook.horizon) if is_driven_in_c else {}
+        starts = dict(zip(shapes, accumulate(map(prod, shapes.values()), initial=0), strict=False))
+        self.band, self.width = starts.get("band_now", -1), sum(map(prod, shapes.values()))
+        self.table = self._over(rows, shapes) if shapes else None
+
+    def _over(self, rows: int, shapes: Mapping[str, tuple[int, ...]]) -> FloatArray:
+        """Return the table; what is not measured yet is NaN, in place of which C has what is."""
+        outlook, loop, table = self._run.outlook, self._run.loop, np.empty((rows, self.width))
+        y, measured, told = (
+            np.full(len(signals), np.nan) for signals in (loop.outputs, loop.measurements, loop.disturbances)
+        )
+        is_kept = "forecast" in self._more
+        issues = self._run.setup.disturbances.issues(outlook.horizon, rows) if is_kept else ()
+        for k in range(rows):
+            sample = outlook.sample(k, 0.0, y, measured, told)
+            parts = [getattr(sample, name)[: shape[0]].ravel() for name, shape in shapes.items()]
+            table[k] = np.concatenate(parts)
+            if k in issues:
+                self._issues[k] = sample.forecast.copy()
+        return table
+
+    def take(self, begin: int, end: int) -> None:
+        """Fill in the further tables of rows that have been run."""
+        run, more, rows = self._run, self._more, slice(begin, end)
+        setup, outlook = run.setup, run.outlook
+        if "d" in more:
+            more["d"][rows] = told = run.d[rows, setup.disturbances.told_places]
+            for k in self._issues.keys() & range(begin, end):
+                forecast, held = self._issues[k], outlook.expected.held
+                forecast[:, held] = told[k - begin, held]
+                expected = more["forecast"][k + 1 : k + 1 + len(forecast)]
+                expected[:] = forecast[: len(expected)]
+        if self.actual is not None and "monitored" in more:
+            more["monitored"][rows] = self.actual[rows, setup.monitored]
+        if self.actual is not None and self.given is not None:
+            for k in range(begin, end):
+                more["charged"][k] = setup.charged.amounts(
+                    self.given[k], self.actual[k], controls_itself=False
+                )
+        if outlook.has_bands:
+            for k in range(begin, end):
+                run.store.reference[k] = outlook.nearest(k, run.store.y[k])
 
 
 def _code_of(run: Run) -> ControllerCode:

@@ -55,6 +55,8 @@ class ActingDisturbances:
         Which of them controllers are told of.
     told : tuple of Variable
         These.
+    courses : array, shape (K, inputs)
+        What the disturbances that are inputs are at the samples of the run that has been started.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class ActingDisturbances:
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
         self._lags = [disturbance.lag for disturbance in declared.values()]
         self._longest_lag = max(self._lags, default=0)
+        self.courses = np.empty((0, 0))
         self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
         self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
 
@@ -125,6 +128,11 @@ class ActingDisturbances:
         )
 
     @property
+    def are_late(self) -> bool:
+        """Whether one is measured late."""
+        return self._longest_lag > 0
+
+    @property
     def looks_ahead(self) -> bool:
         """Whether what comes after the run is needed for forecasts."""
         return any(disturbance.is_foretold for disturbance in self.declared.values())
@@ -163,13 +171,13 @@ class ActingDisturbances:
     def start(self, actuators: Actuators, *, continues: bool) -> None:
         """Prepare for a run for which the actuators have been started; it may go on from the one before."""
         if self.inputs:
-            self._courses = np.column_stack([actuators.course(variable.name) for variable in self.inputs])
+            self.courses = np.column_stack([actuators.course(variable.name) for variable in self.inputs])
         if not continues:
             self._past = list[FloatArray]()
 
     def with_inputs(self, k: int, y_plant: FloatArray) -> FloatArray:
         """Return the plant's outputs at sample k, and after them the disturbances that are inputs."""
-        return np.concatenate([y_plant, self._courses[k]])
+        return np.concatenate([y_plant, self.courses[k]])
 
     def measured(self, y: FloatArray, seen: FloatArray) -> FloatArray:
         """Return them as measured, the last value in place of one that is missing, or late, shape (n,).
@@ -217,7 +225,7 @@ class ActingDisturbances:
         for i, variable in enumerate(self.told):
             disturbance = self.declared[variable.name]
             if variable in self.inputs:
-                course = self._courses[: len(truth), self.inputs.index(variable)]
+                course = self.courses[: len(truth), self.inputs.index(variable)]
                 truth[: len(course), i] = course
             elif disturbance.signal is not None:
                 signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"
