@@ -146,11 +146,14 @@ def reason_against(run: Run) -> str:
     there = {
         "steps between samples": setup.substeps > 1,
         "disturbances that are measured late": setup.disturbances.are_late,
-        "a warm-up": run.first,
-        "a start at the recording's end": loop.continues_recording or loop.past,
     }
     known = effect_numbers()
     unknown = [name for name in setup.effects if name not in known]
+    if run.first or loop.continues_recording or loop.past:  # what conditions remember of before, C does not
+        kinds = all_conditions()
+        unknown += [
+            f"{name} from before the run" for name in setup.effects if kinds[name].in_c is not Condition.in_c
+        ]
     return ", ".join([*(what for what, is_there in there.items() if is_there), *unknown])
 
 

@@ -430,7 +430,15 @@ def cosimulate(
         onwards = duration if continue_recording else 0.0
         run = (start_time, end)
         experiment = _experiment(
-            setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run, engine
+            setup,
+            excitation,
+            stabiliser,
+            wanted,
+            parameters,
+            recording_start,
+            onwards,
+            run,
+            None if continue_recording else engine,  # what conditions remember goes on
         )
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
