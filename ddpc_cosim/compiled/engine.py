@@ -41,7 +41,7 @@ class _PlantCalls(ctypes.Structure):
         ("base_time", c_double),
         ("step_size", c_double),
         ("steps", c_int64),
-        ("steps_per_sample", c_int64),
+        ("steps_at_once", c_int64),
     ]
 
 
@@ -77,9 +77,13 @@ class _Loop(ctypes.Structure):
         ("n_disturbances", c_int64),
         ("told", c_void_p),
         ("n_told", c_int64),
-        *((name, c_void_p) for name in ("low", "high", "plant_outputs", "last_seen", "scratch")),
+        *((name, c_void_p) for name in ("low", "high")),
+        ("readings", c_int64),
+        ("read", c_void_p),
+        ("n_read", c_int64),
+        *((name, c_void_p) for name in ("plant_outputs", "last_seen", "scratch")),
         *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied")),
-        *((name, c_void_p) for name in ("d", "actual", "given", "status")),
+        *((name, c_void_p) for name in ("d", "actual", "between", "given", "status")),
     ]
 
 
@@ -144,7 +148,6 @@ def reason_against(run: Run) -> str:
     if isinstance(controller, ExcitingController) and controller.is_stabilised:
         return "the experiment has a stabilising controller"
     there = {
-        "steps between samples": setup.substeps > 1,
         "disturbances that are measured late": setup.disturbances.are_late,
     }
     known = effect_numbers()
@@ -213,6 +216,8 @@ class CompiledRun:
         self._status: NDArray[np.uint32] = np.zeros(rows, np.uint32)
         self._keep: list[Any] = []
         ahead = (1 + loop.preview) * len(outputs) + self._further.width
+        if "intersample" in store.more:
+            store.more["intersample"][:] = np.nan
         limits = run.outlook.limits.table[:rows, : len(setup.inputs)]
         self._loop = _Loop(
             first=run.first,
@@ -251,6 +256,9 @@ class CompiledRun:
             n_told=len(disturbances.told_places),
             low=self._address(limits[..., 0]),
             high=self._address(limits[..., 1]),
+            readings=setup.substeps,
+            read=self._address(setup.intersample, np.int64),
+            n_read=len(setup.intersample),
             plant_outputs=self._address(self.plant_outputs),
             last_seen=self._address(np.full(n, np.nan)),
             scratch=self._address(np.empty(3 * n + len(setup.plant.inputs) + ahead)),
@@ -261,6 +269,7 @@ class CompiledRun:
             applied=self._address(store.applied),
             d=self._address(run.d) if run.d.size else None,
             actual=self._address(self._further.actual),
+            between=self._address(store.more.get("intersample")),
             given=self._address(self._further.given),
             status=self._address(self._status, np.uint32),
         )
@@ -296,7 +305,7 @@ class CompiledRun:
             ended = self._program.run(ctypes.addressof(loop), ctypes.addressof(progress))
             return ended, progress.steps
 
-        ended = plant.in_c(self._run.setup.sampling_time, run)
+        ended = plant.in_c(self._run.setup.communication_step, run)
         if ended is None or ended == _PLANT_FAILED:
             raise NeedsPythonError("the plant is not stepped from C")
         self._further.take(begin, progress.rows)

@@ -105,6 +105,17 @@ static const double *look_ahead(const Loop *loop, int64_t row, const double y[],
     return r;
 }
 
+/* Keep outputs that are read between samples; a disturbance is held over the sampling interval. */
+static void keep_between(const Loop *loop, int64_t row, size_t k, int64_t reading)
+{
+    double *const kept = loop->between + (row * (loop->readings - 1) + reading) * loop->n_read;
+    for (int64_t i = 0; i < loop->n_read; ++i) {
+        const int64_t place = loop->read[i];
+        const double *const added = loop->output_disturbance;
+        kept[i] = loop->plant_outputs[place] + (added ? added[k * (size_t)loop->n_sensed + (size_t)place] : 0.0);
+    }
+}
+
 int64_t loop_run(const Loop *loop, Progress *progress)
 {
     const PlantCalls *plant = &loop->plant;
@@ -163,16 +174,19 @@ int64_t loop_run(const Loop *loop, Progress *progress)
 
         if (row + 1 == loop->end && !loop->holds_last) break;
         int failed = set_inputs(plant, inputs);
-        for (int64_t i = 0; failed <= STATUS_WARNING && i < plant->steps_per_sample; ++i) {
-            failed = do_step(plant, plant->base_time + (double)progress->steps * plant->step_size);
-            if (failed <= STATUS_WARNING) ++progress->steps;
+        for (int64_t reading = 1; reading <= loop->readings; ++reading) {
+            for (int64_t i = 0; failed <= STATUS_WARNING && i < plant->steps_at_once; ++i) {
+                failed = do_step(plant, plant->base_time + (double)progress->steps * plant->step_size);
+                if (failed <= STATUS_WARNING) ++progress->steps;
+            }
+            if (failed <= STATUS_WARNING) failed = get_outputs(plant, loop->plant_outputs);
+            if (failed > STATUS_WARNING) {
+                progress->plant_status = failed;
+                return LOOP_PLANT_FAILED;
+            }
+            if (!all_finite(loop->plant_outputs, plant->n_outputs)) return LOOP_NOT_FINITE;
+            if (loop->between && reading < loop->readings) keep_between(loop, row, k, reading - 1);
         }
-        if (failed <= STATUS_WARNING) failed = get_outputs(plant, loop->plant_outputs);
-        if (failed > STATUS_WARNING) {
-            progress->plant_status = failed;
-            return LOOP_PLANT_FAILED;
-        }
-        if (!all_finite(loop->plant_outputs, plant->n_outputs)) return LOOP_NOT_FINITE;
     }
     return LOOP_DONE;
 }

@@ -28,7 +28,7 @@ typedef struct {
     double base_time; /* step i begins at base_time + i * step_size */
     double step_size;
     int64_t steps; /* done so far */
-    int64_t steps_per_sample;
+    int64_t steps_at_once; /* between two readings of the outputs */
 } PlantCalls;
 
 /* What one condition does to one signal. */
@@ -87,6 +87,10 @@ typedef struct {
     const double *low;       /* (rows, m) limits of the inputs */
     const double *high;
 
+    int64_t readings;        /* of the outputs in a sampling interval */
+    const int64_t *read;     /* n_read places among the outputs that are kept of those between samples */
+    int64_t n_read;
+
     double *plant_outputs; /* n_outputs, now; the last ones in the end */
     double *last_seen;     /* n_sensed: as they were seen at the last sample */
     double *scratch;       /* 3 * n_sensed + n_inputs + (1 + preview) * p + n_further */
@@ -98,6 +102,7 @@ typedef struct {
     double *applied;    /* (rows, n_changed) */
     double *d;          /* (rows, n_disturbances): as they were measured, the last value for a lost one; or NULL */
     double *actual;     /* (rows, n_sensed): as they were; or NULL */
+    double *between;    /* (rows, readings - 1, n_read): NaN where the plant has not been; or NULL */
     double *given;      /* (rows, n_inputs): what the plant was given; or NULL */
     uint32_t *status;   /* rows */
 } Loop;
