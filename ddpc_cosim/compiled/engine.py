@@ -75,7 +75,7 @@ class _Loop(ctypes.Structure):
         ("n_further", c_int64),
         ("disturbances", c_void_p),
         ("n_disturbances", c_int64),
-        ("told", c_void_p),
+        *((name, c_void_p) for name in ("lags", "told")),
         ("n_told", c_int64),
         *((name, c_void_p) for name in ("low", "high")),
         ("readings", c_int64),
@@ -147,17 +147,13 @@ def reason_against(run: Run) -> str:
         return f"{type(setup.plant).__name__} is a plant in Python"
     if isinstance(controller, ExcitingController) and controller.is_stabilised:
         return "the experiment has a stabilising controller"
-    there = {
-        "disturbances that are measured late": setup.disturbances.are_late,
-    }
-    known = effect_numbers()
-    unknown = [name for name in setup.effects if name not in known]
-    if run.first or loop.continues_recording or loop.past:  # what conditions remember of before, C does not
-        kinds = all_conditions()
-        unknown += [
-            f"{name} from before the run" for name in setup.effects if kinds[name].in_c is not Condition.in_c
-        ]
-    return ", ".join([*(what for what, is_there in there.items() if is_there), *unknown])
+    known, kinds = effect_numbers(), all_conditions()
+    reasons = [name for name in setup.effects if name not in known]
+    if run.first or loop.continues_recording or loop.past:
+        remembered = [name for name in setup.effects if kinds[name].in_c is not Condition.in_c]
+        remembered += ["disturbances that are measured late"] if any(setup.disturbances.lags) else []
+        reasons += [f"{name}: C does not know what was before the run" for name in remembered]
+    return ", ".join(reasons)
 
 
 class _WatchedGenerator(np.random.Generator):
@@ -252,6 +248,7 @@ class CompiledRun:
             n_further=self._further.width,
             disturbances=self._address(disturbances.places, np.int64),
             n_disturbances=len(disturbances.places),
+            lags=self._address(disturbances.lags, np.int64),
             told=self._address(disturbances.told_places, np.int64),
             n_told=len(disturbances.told_places),
             low=self._address(limits[..., 0]),
@@ -267,7 +264,7 @@ class CompiledRun:
             measurements=self._address(store.measured),
             u=self._address(store.u),
             applied=self._address(store.applied),
-            d=self._address(run.d) if run.d.size else None,
+            d=self._address(self._further.d) if disturbances.declared else None,
             actual=self._address(self._further.actual),
             between=self._address(store.more.get("intersample")),
             given=self._address(self._further.given),
@@ -365,6 +362,8 @@ class _Further:
         Its columns.
     band : int
         The first of them that is an edge of a band; -1: there is none.
+    d : array, shape (K, disturbances)
+        Where disturbances go as they are seen at each sample, though they may be told later.
     actual : array, shape (K, sensed), or None
         Where signals go as they are, if they are wanted.
     given : array, shape (K, inputs), or None
@@ -377,6 +376,7 @@ class _Further:
         wants_signals = self._is_priced or "monitored" in self._more
         self.actual = np.empty((rows, len(setup.disturbances.sensed))) if wants_signals else None
         self.given = np.empty((rows, len(setup.plant.inputs))) if self._is_priced else None
+        self.d = np.empty_like(run.d)
         self._issues = dict[int, FloatArray]()
         is_driven_in_c = not isinstance(run.controller, ExcitingController)
         shapes = further_arguments(run.loop, run.outlook.horizon) if is_driven_in_c else {}
@@ -404,13 +404,14 @@ class _Further:
         """Fill in the further tables of rows that have been run."""
         run, more, rows = self._run, self._more, slice(begin, end)
         setup, outlook = run.setup, run.outlook
+        for i, lag in enumerate(setup.disturbances.lags):
+            run.d[rows, i] = self.d[np.maximum(np.arange(begin, end) - lag, 0), i]
         if "d" in more:
             more["d"][rows] = told = run.d[rows, setup.disturbances.told_places]
             for k in self._issues.keys() & range(begin, end):
-                forecast, held = self._issues[k], outlook.expected.held
-                forecast[:, held] = told[k - begin, held]
-                expected = more["forecast"][k + 1 : k + 1 + len(forecast)]
-                expected[:] = forecast[: len(expected)]
+                expected = more["forecast"][k + 1 : k + 1 + len(self._issues[k])]
+                foretold = self._issues[k][: len(expected)]
+                expected[:] = np.where(np.isnan(foretold), told[k - begin], foretold)
         if self.actual is not None and "monitored" in more:
             more["monitored"][rows] = self.actual[rows, setup.monitored]
         if self.actual is not None and self.given is not None:

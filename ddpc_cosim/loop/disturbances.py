@@ -51,6 +51,8 @@ class ActingDisturbances:
         All outputs, and these inputs.
     places : array of int, shape (n,)
         Where among these each disturbance is measured.
+    lags : list of int
+        By how many samples each is measured late.
     told_places : array of int, shape (n_d,)
         Which of them controllers are told of.
     told : tuple of Variable
@@ -83,8 +85,8 @@ class ActingDisturbances:
         places = {variable.name: i for i, variable in reversed(list(enumerate(self.sensed)))}
         places |= {variable.name: len(plant.outputs) + i for i, variable in enumerate(self.inputs)}
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
-        self._lags = [disturbance.lag for disturbance in declared.values()]
-        self._longest_lag = max(self._lags, default=0)
+        self.lags = [disturbance.lag for disturbance in declared.values()]
+        self._longest_lag = max(self.lags, default=0)
         self.courses = np.empty((0, 0))
         self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
         self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
@@ -126,11 +128,6 @@ class ActingDisturbances:
             inputs={**conditions.inputs, **signals},
             recorded_inputs={**conditions.recorded_inputs, **recorded},
         )
-
-    @property
-    def are_late(self) -> bool:
-        """Whether one is measured late."""
-        return self._longest_lag > 0
 
     @property
     def looks_ahead(self) -> bool:
@@ -195,7 +192,7 @@ class ActingDisturbances:
             return now
         past.append(now)
         del past[: -1 - self._longest_lag]
-        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
+        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self.lags)])
 
     def issues(self, horizon: int, samples: int) -> range:
         """Return at which samples of a run the forecast is kept: a few, so far apart that none overlap."""

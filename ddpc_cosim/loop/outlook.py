@@ -201,11 +201,6 @@ class Expected:
         B, the number of these samples before the first one of the run.
     samples : int
         K, those of the run.
-
-    Attributes
-    ----------
-    held : list of int
-        Of which disturbances what is measured is held.
     """
 
     def __init__(
@@ -217,8 +212,8 @@ class Expected:
         samples: int,
     ) -> None:
         self._forecasts, self._truth, self._before, self._samples = forecasts, truth, before, samples
-        self.held = [i for i, one in enumerate(forecasts) if one is None]
-        self._late = [(i, lag) for i, lag in enumerate(lags) if lag and i not in self.held]
+        self._held = [i for i, one in enumerate(forecasts) if one is None]
+        self._late = [(i, lag) for i, lag in enumerate(lags) if lag and i not in self._held]
         self._first, self._foretold = 0, np.empty((0, 0, 0))
 
     def after(self, k: int, samples: int, measured: FloatArray) -> FloatArray:
@@ -227,10 +222,10 @@ class Expected:
         if not (0 <= row < len(self._foretold) and samples == self._foretold.shape[1]):
             self._first, self._foretold, row = k, self._from_sample(k, samples), 0
         foretold: FloatArray = self._foretold[row]
-        if not (self.held or self._late):
+        if not (self._held or self._late):
             return foretold
         expected = foretold.copy()
-        for i in self.held:
+        for i in self._held:
             expected[:, i] = measured[i]
         for i, lag in self._late:
             late, first = min(lag, samples), self._before + k + 1 - lag
@@ -273,8 +268,6 @@ class Outlook:
 
     Attributes
     ----------
-    expected : Expected
-        As given.
     horizon : int
         As given.
     has_bands : bool
@@ -294,7 +287,7 @@ class Outlook:
         self.wish, self.limits, self.charges, self.price = wish, limits, charges, price
         self._inputs, self.horizon, self._sees_all = len(limits.bounds.u_min), horizon, preview >= horizon
         self._known = np.minimum(np.arange(horizon + 1), preview)
-        self.expected = expected
+        self._expected = expected
         # Edges by output, each over all times in one piece of memory.
         self._bands = [(i, *wish.band[:, i].T.copy()) for i in np.flatnonzero(wish.is_band).tolist()]
         self.has_bands = bool(self._bands)
@@ -340,7 +333,7 @@ class Outlook:
         input_limits, output_limits = self._fixed_limits or self._limits(rows)
         forecast = self._no_forecast
         if disturbance.size:
-            forecast = self.expected.after(k, self.horizon, disturbance)
+            forecast = self._expected.after(k, self.horizon, disturbance)
         if not self._sees_all or self.has_bands:
             for array in (band, reference):
                 array.setflags(write=False)

@@ -76,8 +76,8 @@ static bool take_seen(const Loop *loop, double seen[])
     return lost && loop->loses == 2;
 }
 
-/* Take the disturbances as they are measured: in place of what is lost stands the last value, or the first one. */
-static void measure_disturbances(const Loop *loop, int64_t row, const double seen[], const double actual[])
+/* Take the disturbances as they are seen: in place of what is lost stands the last value, or the actual one. */
+static void see_disturbances(const Loop *loop, int64_t row, const double seen[], const double actual[])
 {
     double *const now = loop->d + row * loop->n_disturbances;
     for (int64_t i = 0; i < loop->n_disturbances; ++i) {
@@ -96,7 +96,8 @@ static const double *look_ahead(const Loop *loop, int64_t row, const double y[],
     double *const further = r + n;
     memcpy(further, loop->further + row * loop->n_further, (size_t)loop->n_further * sizeof(double));
     for (int64_t i = 0; i < loop->n_told; ++i) {
-        further[i] = loop->d[row * loop->n_disturbances + loop->told[i]];
+        const int64_t place = loop->told[i], lag = loop->lags[place];
+        further[i] = loop->d[(row > lag ? row - lag : 0) * loop->n_disturbances + place];
     }
     for (int64_t i = 0; loop->band >= 0 && i < n; ++i) { /* of a band the point that is nearest */
         const double *const edges = further + loop->band + 2 * i;
@@ -142,7 +143,7 @@ int64_t loop_run(const Loop *loop, Progress *progress)
         choose_values(actual, loop->outputs, loop->p, loop->y + row * loop->p);
         double *const measured = loop->measurements + row * loop->q;
         choose_values(seen, loop->measured, loop->q, measured);
-        if (loop->d) measure_disturbances(loop, row, seen, actual);
+        if (loop->d) see_disturbances(loop, row, seen, actual);
         if (loop->actual) memcpy(loop->actual + row * loop->n_sensed, actual, n * sizeof(double));
         if (loop->seen) choose_values(seen, loop->outputs, loop->p, loop->seen + row * loop->p);
         progress->rows = row + 1;

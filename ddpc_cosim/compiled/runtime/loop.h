@@ -82,6 +82,7 @@ typedef struct {
     int64_t n_further;
     const int64_t *disturbances; /* n_disturbances places among the signals that are sensed */
     int64_t n_disturbances;
+    const int64_t *lags;     /* by how many samples each is measured late */
     const int64_t *told;     /* of those that the controller is told, which `further` begins with */
     int64_t n_told;
     const double *low;       /* (rows, m) limits of the inputs */
@@ -100,7 +101,7 @@ typedef struct {
     double *measurements; /* (rows, q) */
     double *u;          /* (rows, m) */
     double *applied;    /* (rows, n_changed) */
-    double *d;          /* (rows, n_disturbances): as they were measured, the last value for a lost one; or NULL */
+    double *d;          /* (rows, n_disturbances): as seen then, the last value for a lost one; or NULL */
     double *actual;     /* (rows, n_sensed): as they were; or NULL */
     double *between;    /* (rows, readings - 1, n_read): NaN where the plant has not been; or NULL */
     double *given;      /* (rows, n_inputs): what the plant was given; or NULL */
