@@ -22,6 +22,11 @@ STUDIES = (
 )
 IN_PYTHON = {"from-a-log"}
 """The plant has no equations."""
+FAR_AWAY = {("limit-that-pays", "mpc"): 1e-7}
+"""Where prices outweigh the weights of inputs: the optimum without limits lies 1e7 times further away than limits.
+
+The tolerance is a hundred times what a double has of that.
+"""
 WITHOUT_CODE = ("nmpc", "spsa", "wkpc-published", "plant-control", "select-dpc")
 SIGNALS = (
     *("time", "reference", "y", "measured", "u", "applied"),
@@ -97,6 +102,8 @@ def test_random_cases_are_the_same_in_both_engines() -> None:
         python, in_c = run_case(case), run_case(replace(case, engine="compiled"))
         compiled += in_c.engine == "compiled"
         difference = largest_difference(python, in_c)
+        if difference <= FAR_AWAY.get((case.problem, case.controller), 0.0):
+            continue
         # A loop that amplifies rounding does so in Python, too: by no less than a tenth of that.
         if difference > TOLERANCE and moved_by_rounding(case, python, in_c) < difference / 10.0:
             wrong.append((case.name, difference))
