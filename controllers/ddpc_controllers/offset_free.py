@@ -107,7 +107,7 @@ class OffsetFree(SingleWrapper):
         self._phi = float(np.exp(-loop.sampling_time / (self.response_time or 2.0 * loop.sampling_time)))
         self._gain = self.gain or min(_LARGEST_GAIN, 1.0 / max(1, self.horizon))
         self._disturbance = np.zeros(len(loop.outputs))
-        self._largest = np.zeros(len(loop.outputs))
+        self._largest: FloatArray | None = None
         self._clipped = np.zeros(len(loop.outputs), dtype=bool)
         self._expected: FloatArray | None = None
         self._start_inside(loop)
@@ -124,7 +124,8 @@ class OffsetFree(SingleWrapper):
             correctable = self._reachable @ off
             correctable[self._clipped & (correctable * self._disturbance > 0.0)] = 0.0
             self._disturbance = self._disturbance + self._gain * correctable
-            self._largest = np.maximum(self._largest, np.abs(self._disturbance))
+            size = np.abs(self._disturbance)
+            self._largest = size if self._largest is None else np.maximum(self._largest, size)
             expected = expected + (off - correctable)
         elif expected is None:
             expected = sample.setpoint
@@ -145,8 +146,12 @@ class OffsetFree(SingleWrapper):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the controller's values, and the largest disturbance of each output, in its unit."""
-        largest = {f"largest_disturbance[{i}]": value for i, value in enumerate(self._largest.tolist())}
-        return {**super().diagnostics(), **largest}
+        # The compiled engine makes no step here: nothing is known of what C has estimated.
+        largest = [] if self._largest is None else self._largest.tolist()
+        return {
+            **super().diagnostics(),
+            **{f"largest_disturbance[{i}]": value for i, value in enumerate(largest)},
+        }
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the controller, and what shifts its reference."""

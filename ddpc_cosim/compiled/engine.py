@@ -1,9 +1,11 @@
 """The compiled engine: the samples of a loop in C, where all that acts in it is known there."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from ctypes import c_double, c_int64, c_void_p
 from dataclasses import fields, is_dataclass, replace
+from itertools import accumulate
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.compiled.program import NO_CONTROLLER, Program, effect_numbers, program_of
 from ddpc_cosim.conditions import HELD, all_conditions
 from ddpc_cosim.conditions.condition import Condition
-from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop
+from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop, further_arguments
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.co_simulation import StepInC
 from ddpc_cosim.fmu.plant import FMUPlant
@@ -39,7 +41,7 @@ class _PlantCalls(ctypes.Structure):
         ("base_time", c_double),
         ("step_size", c_double),
         ("steps", c_int64),
-        ("steps_per_sample", c_int64),
+        ("steps_at_once", c_int64),
     ]
 
 
@@ -59,16 +61,29 @@ class _Loop(ctypes.Structure):
         ("n_actuators", c_int64),
         *((name, c_void_p) for name in ("input_disturbance", "own_inputs", "own")),
         ("n_own", c_int64),
-        *((name, c_void_p) for name in ("output_disturbance", "before_noise")),
+        ("n_sensed", c_int64),
+        *((name, c_void_p) for name in ("courses", "output_disturbance", "before_noise")),
         ("n_before_noise", c_int64),
         ("noise", c_void_p),
         ("n_noise", c_int64),
         ("after_noise", c_void_p),
         ("n_after_noise", c_int64),
         ("loses", c_int64),
-        *((name, c_void_p) for name in ("commands", "controller", "reference", "low", "high")),
+        *((name, c_void_p) for name in ("commands", "controller", "reference")),
+        *((name, c_int64) for name in ("preview", "band")),
+        ("further", c_void_p),
+        ("n_further", c_int64),
+        ("disturbances", c_void_p),
+        ("n_disturbances", c_int64),
+        *((name, c_void_p) for name in ("lags", "told")),
+        ("n_told", c_int64),
+        *((name, c_void_p) for name in ("low", "high")),
+        ("readings", c_int64),
+        ("read", c_void_p),
+        ("n_read", c_int64),
         *((name, c_void_p) for name in ("plant_outputs", "last_seen", "scratch")),
-        *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied", "status")),
+        *((name, c_void_p) for name in ("y", "seen", "measurements", "u", "applied")),
+        *((name, c_void_p) for name in ("d", "actual", "between", "given", "status")),
     ]
 
 
@@ -132,19 +147,13 @@ def reason_against(run: Run) -> str:
         return f"{type(setup.plant).__name__} is a plant in Python"
     if isinstance(controller, ExcitingController) and controller.is_stabilised:
         return "the experiment has a stabilising controller"
-    there = {
-        "steps between samples": setup.substeps > 1,
-        "known disturbances": setup.disturbances.declared,
-        "bands": loop.bands,
-        "limits that move": loop.moving_limits,
-        "prices": loop.charges,
-        "monitored outputs": setup.monitors,
-        "a warm-up": run.first,
-        "a start at the recording's end": loop.continues_recording or loop.past,
-    }
-    known = effect_numbers()
-    unknown = [name for name in setup.effects if name not in known]
-    return ", ".join([*(what for what, is_there in there.items() if is_there), *unknown])
+    known, kinds = effect_numbers(), all_conditions()
+    reasons = [name for name in setup.effects if name not in known]
+    if run.first or loop.continues_recording or loop.past:
+        remembered = [name for name in setup.effects if kinds[name].in_c is not Condition.in_c]
+        remembered += ["disturbances that are measured late"] if any(setup.disturbances.lags) else []
+        reasons += [f"{name}: C does not know what was before the run" for name in remembered]
+    return ", ".join(reasons)
 
 
 class _WatchedGenerator(np.random.Generator):
@@ -185,7 +194,7 @@ class CompiledRun:
     """
 
     def __init__(self, run: Run, code: ControllerCode) -> None:
-        self._run, setup, store = run, run.setup, run.store
+        self._run, setup, store, loop = run, run.setup, run.store, run.loop
         rows = len(store.y)
         commands = run.controller.excitation if isinstance(run.controller, ExcitingController) else None
         self._code = code
@@ -198,10 +207,14 @@ class CompiledRun:
         controlled = names(setup.outputs)
         others = [i for i, v in enumerate(setup.measurements) if v.name not in controlled]
         self.plant_outputs = np.array(run.y_plant, dtype=np.float64)
-        n = len(self.plant_outputs)
+        disturbances, n = setup.disturbances, len(setup.disturbances.sensed)
+        self._further = _Further(run, rows)
         self._status: NDArray[np.uint32] = np.zeros(rows, np.uint32)
         self._keep: list[Any] = []
-        bounds = run.outlook.limits.bounds
+        ahead = (1 + loop.preview) * len(outputs) + self._further.width
+        if "intersample" in store.more:
+            store.more["intersample"][:] = np.nan
+        limits = run.outlook.limits.table[:rows, : len(setup.inputs)]
         self._loop = _Loop(
             first=run.first,
             p=len(outputs),
@@ -219,6 +232,8 @@ class CompiledRun:
             own_inputs=self._address(actuators.own),
             own=self._address(actuators.others, np.int64),
             n_own=len(actuators.others),
+            n_sensed=n,
+            courses=self._address(disturbances.courses) if disturbances.inputs else None,
             output_disturbance=self._address(sensors.added),
             **self._effects("before_noise", sensors.before_noise),
             noise=self._address(sensors.noise),
@@ -227,16 +242,32 @@ class CompiledRun:
             loses=(2 if sensors.holds else 1) if sensors.loses else 0,
             commands=self._address(commands),
             reference=self._address(run.outlook.wish.reference),
-            low=self._address(bounds.u_min),
-            high=self._address(bounds.u_max),
+            preview=loop.preview,
+            band=self._further.band,
+            further=self._address(self._further.table),
+            n_further=self._further.width,
+            disturbances=self._address(disturbances.places, np.int64),
+            n_disturbances=len(disturbances.places),
+            lags=self._address(disturbances.lags, np.int64),
+            told=self._address(disturbances.told_places, np.int64),
+            n_told=len(disturbances.told_places),
+            low=self._address(limits[..., 0]),
+            high=self._address(limits[..., 1]),
+            readings=setup.substeps,
+            read=self._address(setup.intersample, np.int64),
+            n_read=len(setup.intersample),
             plant_outputs=self._address(self.plant_outputs),
             last_seen=self._address(np.full(n, np.nan)),
-            scratch=self._address(np.empty(3 * n + len(setup.plant.inputs))),
+            scratch=self._address(np.empty(3 * n + len(setup.plant.inputs) + ahead)),
             y=self._address(store.y),
             seen=self._address(run.seen),
             measurements=self._address(store.measured),
             u=self._address(store.u),
             applied=self._address(store.applied),
+            d=self._address(self._further.d) if disturbances.declared else None,
+            actual=self._address(self._further.actual),
+            between=self._address(store.more.get("intersample")),
+            given=self._address(self._further.given),
             status=self._address(self._status, np.uint32),
         )
         if commands is None:
@@ -271,9 +302,10 @@ class CompiledRun:
             ended = self._program.run(ctypes.addressof(loop), ctypes.addressof(progress))
             return ended, progress.steps
 
-        ended = plant.in_c(self._run.setup.sampling_time, run)
+        ended = plant.in_c(self._run.setup.communication_step, run)
         if ended is None or ended == _PLANT_FAILED:
             raise NeedsPythonError("the plant is not stepped from C")
+        self._further.take(begin, progress.rows)
         store.take(begin, progress.rows, self._texts(self._status[begin : progress.rows]))
         if ended != _DONE:
             require_finite(self.plant_outputs, plant)
@@ -310,6 +342,87 @@ class CompiledRun:
         table = np.ascontiguousarray(values, dtype=kind)
         self._keep.append(table)
         return table.ctypes.data
+
+
+class _Further:
+    """What a run has besides measurements, references and inputs.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    rows : int
+        K, the number of its samples.
+
+    Attributes
+    ----------
+    table : array, shape (K, width), or None
+        What follows the references in ``r`` of a step; NaN where C knows what was measured. None: nothing.
+    width : int
+        Its columns.
+    band : int
+        The first of them that is an edge of a band; -1: there is none.
+    d : array, shape (K, disturbances)
+        Where disturbances go as they are seen at each sample, though they may be told later.
+    actual : array, shape (K, sensed), or None
+        Where signals go as they are, if they are wanted.
+    given : array, shape (K, inputs), or None
+        Where all inputs of the plant go, if they are wanted.
+    """
+
+    def __init__(self, run: Run, rows: int) -> None:
+        self._run, self._more, setup = run, run.store.more, run.setup
+        self._is_priced = bool(setup.charged.charges)
+        wants_signals = self._is_priced or "monitored" in self._more
+        self.actual = np.empty((rows, len(setup.disturbances.sensed))) if wants_signals else None
+        self.given = np.empty((rows, len(setup.plant.inputs))) if self._is_priced else None
+        self.d = np.empty_like(run.d)
+        self._issues = dict[int, FloatArray]()
+        is_driven_in_c = not isinstance(run.controller, ExcitingController)
+        shapes = further_arguments(run.loop, run.outlook.horizon) if is_driven_in_c else {}
+        starts = dict(zip(shapes, accumulate(map(prod, shapes.values()), initial=0), strict=False))
+        self.band, self.width = starts.get("band_now", -1), sum(map(prod, shapes.values()))
+        self.table = self._over(rows, shapes) if shapes else None
+
+    def _over(self, rows: int, shapes: Mapping[str, tuple[int, ...]]) -> FloatArray:
+        """Return the table; what is not measured yet is NaN, in place of which C has what is."""
+        outlook, loop, table = self._run.outlook, self._run.loop, np.empty((rows, self.width))
+        y, measured, told = (
+            np.full(len(signals), np.nan) for signals in (loop.outputs, loop.measurements, loop.disturbances)
+        )
+        is_kept = "forecast" in self._more
+        issues = self._run.setup.disturbances.issues(outlook.horizon, rows) if is_kept else ()
+        for k in range(rows):
+            sample = outlook.sample(k, 0.0, y, measured, told)
+            parts = [getattr(sample, name)[: shape[0]].ravel() for name, shape in shapes.items()]
+            table[k] = np.concatenate(parts)
+            if k in issues:
+                self._issues[k] = sample.forecast.copy()
+        return table
+
+    def take(self, begin: int, end: int) -> None:
+        """Fill in the further tables of rows that have been run."""
+        run, more, rows = self._run, self._more, slice(begin, end)
+        setup, outlook = run.setup, run.outlook
+        for i, lag in enumerate(setup.disturbances.lags):
+            run.d[rows, i] = self.d[np.maximum(np.arange(begin, end) - lag, 0), i]
+        if "d" in more:
+            more["d"][rows] = told = run.d[rows, setup.disturbances.told_places]
+            for k in self._issues.keys() & range(begin, end):
+                expected = more["forecast"][k + 1 : k + 1 + len(self._issues[k])]
+                foretold = self._issues[k][: len(expected)]
+                expected[:] = np.where(np.isnan(foretold), told[k - begin], foretold)
+        if self.actual is not None and "monitored" in more:
+            more["monitored"][rows] = self.actual[rows, setup.monitored]
+        if self.actual is not None and self.given is not None:
+            for amounts, outputs, inputs in zip(
+                more["charged"][rows], self.actual[rows], self.given[rows], strict=True
+            ):
+                setup.charged.keep_outputs(amounts, outputs)
+                setup.charged.keep_inputs(amounts, inputs, controls_itself=False)
+        if outlook.has_bands:
+            for k in range(begin, end):
+                run.store.reference[k] = outlook.nearest(k, run.store.y[k])
 
 
 def _code_of(run: Run) -> ControllerCode:

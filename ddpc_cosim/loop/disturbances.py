@@ -51,10 +51,14 @@ class ActingDisturbances:
         All outputs, and these inputs.
     places : array of int, shape (n,)
         Where among these each disturbance is measured.
+    lags : list of int
+        By how many samples each is measured late.
     told_places : array of int, shape (n_d,)
         Which of them controllers are told of.
     told : tuple of Variable
         These.
+    courses : array, shape (K, inputs)
+        What the disturbances that are inputs are at the samples of the run that has been started.
 
     Raises
     ------
@@ -81,8 +85,9 @@ class ActingDisturbances:
         places = {variable.name: i for i, variable in reversed(list(enumerate(self.sensed)))}
         places |= {variable.name: len(plant.outputs) + i for i, variable in enumerate(self.inputs)}
         self.places = np.array([places[name] for name in declared], dtype=np.intp)
-        self._lags = [disturbance.lag for disturbance in declared.values()]
-        self._longest_lag = max(self._lags, default=0)
+        self.lags = [disturbance.lag for disturbance in declared.values()]
+        self._longest_lag = max(self.lags, default=0)
+        self.courses = np.empty((0, 0))
         self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
         self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
 
@@ -163,10 +168,10 @@ class ActingDisturbances:
     def start(self, actuators: Actuators, *, continues: bool) -> None:
         """Prepare for a run for which the actuators have been started; it may go on from the one before."""
         if self.inputs:
-            self._courses = np.column_stack([actuators.course(variable.name) for variable in self.inputs])
+            self.courses = np.column_stack([actuators.course(variable.name) for variable in self.inputs])
             # What is known before the run of a row of all that is sensed: a sample only adds the outputs.
-            self._sensed = np.empty((len(self._courses), len(self.sensed)))
-            self._sensed[:, -len(self.inputs) :] = self._courses
+            self._sensed = np.empty((len(self.courses), len(self.sensed)))
+            self._sensed[:, -len(self.inputs) :] = self.courses
         if not continues:
             self._past = list[FloatArray]()
 
@@ -192,7 +197,7 @@ class ActingDisturbances:
             return now
         past.append(now)
         del past[: -1 - self._longest_lag]
-        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self._lags)])
+        return np.array([past[max(-1 - lag, -len(past))][i] for i, lag in enumerate(self.lags)])
 
     def issues(self, horizon: int, samples: int) -> range:
         """Return at which samples of a run the forecast is kept: a few, so far apart that none overlap."""
@@ -222,7 +227,7 @@ class ActingDisturbances:
         for i, variable in enumerate(self.told):
             disturbance = self.declared[variable.name]
             if variable in self.inputs:
-                course = self._courses[: len(truth), self.inputs.index(variable)]
+                course = self.courses[: len(truth), self.inputs.index(variable)]
                 truth[: len(course), i] = course
             elif disturbance.signal is not None:
                 signal, what = in_unit_of(variable, disturbance.signal), f"disturbances of {variable.name}"

@@ -123,6 +123,8 @@ class Run(NamedTuple):
         Where the rows go.
     seen : array, shape (K, p), or None
         Where controlled outputs go as they are seen, if these are wanted.
+    d : array, shape (K, disturbances)
+        Where known disturbances go as they are measured.
     y_plant : array
         The plant's outputs.
     first : int
@@ -135,6 +137,7 @@ class Run(NamedTuple):
     outlook: Outlook
     store: RowStore
     seen: FloatArray | None
+    d: FloatArray
     y_plant: FloatArray
     first: int
 
@@ -427,7 +430,15 @@ def cosimulate(
         onwards = duration if continue_recording else 0.0
         run = (start_time, end)
         experiment = _experiment(
-            setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run, engine
+            setup,
+            excitation,
+            stabiliser,
+            wanted,
+            parameters,
+            recording_start,
+            onwards,
+            run,
+            None if continue_recording else engine,  # what conditions remember goes on
         )
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
@@ -810,7 +821,7 @@ class _Rows:
             len(time), *columns, changed_inputs=len(setup.changed_inputs), more=widths
         )
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
-        self._seen_elsewhere: FloatArray | None = None
+        self._elsewhere: tuple[FloatArray | None, FloatArray] = None, np.empty((0, 0))
         # Before the run there is nothing to monitor.
         self._monitored = None if keeps_seen else self.store.more.get("monitored")
         self._shift: FloatArray | None = None
@@ -846,10 +857,10 @@ class _Rows:
 
     def run(self, controller: Controller, loop: Loop, y_plant: FloatArray, first: int) -> Run:
         """Return the run that is about to begin, for another engine."""
-        self._seen_elsewhere = None if self._seen is None else np.empty_like(self.store.y)
-        return Run(
-            self._setup, controller, loop, self.outlook, self.store, self._seen_elsewhere, y_plant, first
-        )
+        seen = None if self._seen is None else np.empty_like(self.store.y)
+        d = np.empty((len(self.time), len(self._setup.disturbances.declared)))
+        self._elsewhere = seen, d
+        return Run(self._setup, controller, loop, self.outlook, self.store, seen, d, y_plant, first)
 
     @property
     def count(self) -> int:
@@ -934,9 +945,8 @@ class _Rows:
 
     def recording(self) -> Recording:
         """Return the rows as a recording, of all disturbances."""
-        if not self._seen and self._seen_elsewhere is not None:
-            seen, d = self._seen_elsewhere, np.empty((len(self._seen_elsewhere), 0))
-        else:
+        seen, d = self._elsewhere
+        if self._seen or seen is None:
             seen, d = map(np.array, zip(*self._seen or (), strict=True))
         return Recording(self.store.u, seen, self.store.measured, self._setup.sampling_time, d=d)
 

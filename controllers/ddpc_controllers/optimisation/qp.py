@@ -272,6 +272,7 @@ class Relaxation:
         except ConfigError:  # weights so far apart that it is not determined to rounding
             return None
         law.given_up = easier.given_up
+        law.hardly_matter = law.hardly_matter or easier.relaxed() is None
         return law
 
 
@@ -318,14 +319,15 @@ class _BoundedLaw(ABC):
         """Take the number of bounds, their names, and what must vanish, of new matrices."""
         self._bounds, self._labels = len(problem.excess_law), problem.labels
         self._conflict_law, self._watches_conflict = problem.conflict_law, problem.conflict_law.size > 0
-        # Bands and prices put optima at bounds that hardly matter, where a solver leaves half of the digits.
-        self._hardly_matter = any(label.startswith(BAND_OF_Y) for label in problem.labels)
+        # Bands, prices and bounds that have given way put optima at bounds that hardly matter, or far away:
+        # a solver leaves half of the digits there, or sees no solution.
+        self.hardly_matter = any(label.startswith(BAND_OF_Y) for label in problem.labels)
         # Where nothing else would hold it back, an input that is not finite would pass.
         self._checks_inputs = self.limits.endless or not self._bounds
 
     def _tolerance(self, excess: FloatArray) -> float:
         """Return what an optimum may exceed a bound by; one without bounds that is far away is rounded."""
-        return FEASIBLE + _ROUNDED * float(np.abs(excess).max()) if self._hardly_matter else FEASIBLE
+        return FEASIBLE + _ROUNDED * float(np.abs(excess).max()) if self.hardly_matter else FEASIBLE
 
     def _move(
         self,
@@ -408,7 +410,7 @@ class ParametricQP(_BoundedLaw):
         if problem.paid:  # so many rows that they are left until they are asked for
             self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
             self._cost_law = np.vstack([cost_law, *problem.paid])
-        self._hardly_matter = self._hardly_matter or problem.paid is not None
+        self.hardly_matter = self.hardly_matter or problem.paid is not None
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
@@ -481,9 +483,9 @@ class ParametricQP(_BoundedLaw):
     def _candidates(self, excess: FloatArray, active: ActiveSet, failure: str) -> Iterator[ActiveSet]:
         """Yield which bounds may be the active ones, given what the solver says."""
         yield active
-        if failure or self._hardly_matter:
+        if failure or self.hardly_matter:
             yield least_distance(self._gain, excess - FEASIBLE)
-        if self._hardly_matter:
+        if self.hardly_matter:
             yield nearest_feasible(self._gain, excess, FEASIBLE)
 
 
@@ -594,7 +596,7 @@ class AdaptiveQP(_BoundedLaw):
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
         self._paid = int(len(reduced.prices) > 0)
-        self._hardly_matter = self._hardly_matter or self._paid > 0
+        self.hardly_matter = self.hardly_matter or self._paid > 0
         if self._paid:
             linear = linear + reduced.slope
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
@@ -675,7 +677,7 @@ class AdaptiveQP(_BoundedLaw):
             t, active, failure = self._backend.solve(excess)
             # Whatever the solver reports: a point that satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active, self._tolerance(excess))
-            if exact is None and self._hardly_matter:
+            if exact is None and self.hardly_matter:
                 active = nearest_feasible(gain, excess, FEASIBLE) or active
                 exact = _certified(gain, excess, active, self._tolerance(excess))
             if failure and exact is None:

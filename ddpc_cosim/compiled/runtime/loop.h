@@ -28,7 +28,7 @@ typedef struct {
     double base_time; /* step i begins at base_time + i * step_size */
     double step_size;
     int64_t steps; /* done so far */
-    int64_t steps_per_sample;
+    int64_t steps_at_once; /* between two readings of the outputs */
 } PlantCalls;
 
 /* What one condition does to one signal. */
@@ -61,7 +61,10 @@ typedef struct {
     const int64_t *own;              /* their places among all */
     int64_t n_own;
 
-    const double *output_disturbance; /* (K, n_outputs), or NULL */
+    /* Signals that sensors see: the plant's outputs, and inputs that are known disturbances. */
+    int64_t n_sensed;
+    const double *courses;            /* (K, n_sensed - n_outputs): of these inputs, or NULL */
+    const double *output_disturbance; /* (K, n_sensed), or NULL */
     const Effect *before_noise;
     int64_t n_before_noise;
     const double *noise; /* (rows, n_noise), or NULL */
@@ -73,18 +76,35 @@ typedef struct {
     const double *commands;  /* (rows, m) in place of a controller, or NULL */
     void *controller;        /* its state */
     const double *reference; /* (rows + preview, p) */
-    const double *low;       /* m limits of the inputs */
+    int64_t preview;         /* future references that the controller sees */
+    int64_t band;            /* where among `further` the edges of bands begin, now and then ahead; -1: no bands */
+    const double *further;   /* (rows, n_further): what follows the references in `r` of a step; or NULL */
+    int64_t n_further;
+    const int64_t *disturbances; /* n_disturbances places among the signals that are sensed */
+    int64_t n_disturbances;
+    const int64_t *lags;     /* by how many samples each is measured late */
+    const int64_t *told;     /* of those that the controller is told, which `further` begins with */
+    int64_t n_told;
+    const double *low;       /* (rows, m) limits of the inputs */
     const double *high;
 
+    int64_t readings;        /* of the outputs in a sampling interval */
+    const int64_t *read;     /* n_read places among the outputs that are kept of those between samples */
+    int64_t n_read;
+
     double *plant_outputs; /* n_outputs, now; the last ones in the end */
-    double *last_seen;     /* n_outputs: as they were seen at the last sample */
-    double *scratch;       /* 3 * n_outputs + n_inputs */
+    double *last_seen;     /* n_sensed: as they were seen at the last sample */
+    double *scratch;       /* 3 * n_sensed + n_inputs + (1 + preview) * p + n_further */
 
     double *y;          /* (rows, p) */
     double *seen;       /* (rows, p): as the controller sees it; or NULL */
     double *measurements; /* (rows, q) */
     double *u;          /* (rows, m) */
     double *applied;    /* (rows, n_changed) */
+    double *d;          /* (rows, n_disturbances): as seen then, the last value for a lost one; or NULL */
+    double *actual;     /* (rows, n_sensed): as they were; or NULL */
+    double *between;    /* (rows, readings - 1, n_read): NaN where the plant has not been; or NULL */
+    double *given;      /* (rows, n_inputs): what the plant was given; or NULL */
     uint32_t *status;   /* rows */
 } Loop;
 

@@ -94,6 +94,25 @@ def test_what_cannot_be_kept_gives_way_as_in_python(terminal: str, course: list[
     assert instead in given_up
 
 
+def test_far_beyond_the_limits_the_least_excess_is_found_and_nothing_is_clipped() -> None:
+    limit = 0.3 * COUPLED.nominal[:2]
+    loop, _ = COUPLED.loop()
+    loop = replace(loop, bounds=replace(loop.bounds, y_min=-limit, y_max=limit))
+    controller = SafetyFilter(controller=EAGER[2], terminal="none")
+    controller.start(loop)
+    c, rng, y, given_up = CompiledController(controller, loop), np.random.default_rng(1), np.zeros(2), 0
+    for k in range(150):
+        y = 0.9 * y + 0.5 * COUPLED.nominal[:2] * rng.standard_normal(2)
+        there = np.concatenate([np.zeros(len(loop.measurements) - 2), y])
+        sample = Sample(k, 0.1 * k, y, there, 10.0 * limit[np.newaxis], 10.0 * limit)
+        action = controller.step(sample)
+        assert isinstance(action, Action)
+        assert "clipped" not in action.status
+        given_up += "softened" in action.status
+        np.testing.assert_allclose(c.step(sample), action.u, rtol=0.0, atol=1e-9 * np.ptp(COUPLED.limits))
+    assert given_up > 50
+
+
 def test_inputs_that_keep_the_limits_are_those_of_the_controller_to_the_last_bit() -> None:
     loop, bare = limited(30.0, -30.0), PID(proportional=0.1, integral=0.02)
     around = SafetyFilter(controller=PID(proportional=0.1, integral=0.02))

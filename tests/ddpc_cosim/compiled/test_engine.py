@@ -201,12 +201,128 @@ def test_one_that_looks_at_random_numbers_is_always_started_again() -> None:
     assert controller.starts == 3
 
 
-def test_what_python_alone_knows_is_run_there_and_says_why(tmp_path: Path, own_cache_folder: None) -> None:
-    band = {"band": {"lower": -0.1, "upper": 0.1}}
-    text = study_text(PLANT, {"angle": band}, {"pid": CONTROLLERS["pid"]}, {"engine": "compiled"})
-    (case,) = cases_in(write(tmp_path, text))
-    asked = run_case(case)
-    assert (asked.engine, asked.outcome) == ("python: bands", Outcome.COMPLETED)
+BUILDING: Mapping[str, Any] = {
+    "plant": {
+        "name": "building",
+        "inputs": ["heating_power"],
+        "outputs": ["indoor_temperature"],
+        "measurements": ["indoor_temperature"],
+    },
+    "loop": {
+        "sampling_time": "15 min",
+        "duration": "12 h",
+        "start_time": "day 3",
+        "communication_step": "5 min",
+    },
+    "reference": {
+        "indoor_temperature": {
+            "unit": "degC",
+            "band": {
+                "lower": {"kind": "steps", "times": ["0 h", "7 h"], "values": [17.0, 20.0], "period": "1 d"},
+                "upper": 24.0,
+            },
+        }
+    },
+    "bounds": {
+        "heating_power": {
+            "min": 0.0,
+            "max": {"kind": "steps", "times": ["0 h", "6 h"], "values": [8000.0, 6000.0], "period": "1 d"},
+        }
+    },
+    "disturbances": {
+        "outdoor_temperature": {
+            "known": "high",
+            "lag": 2,
+            "signal": {"kind": "random", "low": -4.0, "high": 6.0, "hold": "1 h", "unit": "degC"},
+        },
+        "solar_irradiance": {
+            "known": "measured",
+            "signal": {"kind": "random", "low": 0.0, "high": 300.0, "hold": "45 min"},
+        },
+    },
+    "prices": {
+        "electricity": {
+            "signal": "heating_power",
+            "factor": 0.333,
+            "unit": "EUR/kWh",
+            "price": {
+                "kind": "steps", "times": ["0 h", "7 h"], "values": [0.2, 0.4], "period": "1 d",
+            },
+            "emissions": 0.167,
+        }
+    },
+    "recording": {"samples": 120, "excitation": {"heating_power": {"low": 500.0, "high": 7000.0}}},
+    "controllers": {
+        "deepc": {
+            "type": "deepc",
+            "settings": {
+                "horizon": 8, "initial_length": 3, "artificial_setpoint": False, "price_weight": 3.0
+            },
+        },
+        "edge": {
+            "type": "band-edge",
+            "settings": {"controller": {"type": "mpc", "horizon": 6}, "margin": 0.5},
+        },
+    },
+    "scenarios": {
+        "plain": {},
+        "noise": {"noise": {"indoor_temperature": 0.05, "outdoor_temperature": 0.3}},
+        "losses": {"loss": {"outdoor_temperature": 0.3, "solar_irradiance": 0.3}},
+        "pushed": {
+            "disturbances": {
+                "indoor_temperature": {"kind": "noise", "standard_deviation": 0.1},
+                "solar_irradiance": {"kind": "noise", "standard_deviation": 5.0},
+            },
+        },
+        "no-preview": {"preview": 1},
+    },
+}  # fmt: skip
+"""All that a loop can have besides a plant, a reference and conditions."""
+
+
+@pytest.fixture(scope="module")
+def building(own_cache_folder: None, tmp_path_factory: pytest.TempPathFactory) -> list[Case]:
+    return cases_in(write(tmp_path_factory.mktemp("building"), study_text(**BUILDING)))
+
+
+@pytest.mark.parametrize("controller", BUILDING["controllers"])
+@pytest.mark.parametrize("scenario", BUILDING["scenarios"])
+def test_bands_prices_forecasts_and_what_is_between_samples_are_those_of_python(
+    building: list[Case], controller: str, scenario: str
+) -> None:
+    (case,) = (c for c in building if (c.controller, c.scenario) == (controller, scenario))
+    python, compiled = both(case)
+    assert_the_same(python, compiled)
+    assert np.ptp(python.d, axis=0).all()
+    for name in ("d", "forecast", "band", "input_limits", "price", "charged", "intersample"):
+        expected, of_c = getattr(python, name), getattr(compiled, name)
+        assert expected.size
+        np.testing.assert_allclose(of_c, expected, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("loop", "engine"),
+    [
+        ({"warm_up": "3 h"}, "compiled"),
+        ({"start": "recording-end"}, "compiled"),
+        ({"warm_up": "3 h", "delay": 900.0}, "python: delay: C does not know what was before the run"),
+        ({"warm_up": "3 h", "lag": 1}, "python: disturbances that are measured late: C does not know what"),
+    ],
+    ids=["warm-up", "recording-end", "remembers", "late"],
+)
+def test_a_run_that_goes_on_from_another_one(
+    loop: dict[str, Any], engine: str, tmp_path: Path, own_cache_folder: None
+) -> None:
+    study, loop = deepcopy(dict(BUILDING)), dict(loop)
+    delay = {"heating_power": loop.pop("delay")} if "delay" in loop else {}
+    study["scenarios"] = {"nominal": {"delay": delay}}
+    study["disturbances"]["outdoor_temperature"]["lag"] = loop.pop("lag", 0)
+    study["loop"] |= loop
+    for case in cases_in(write(tmp_path, study_text(**study))):
+        python, asked = both(case)
+        assert asked.engine.startswith(engine)
+        np.testing.assert_allclose(asked.u, python.u, rtol=0.0, atol=1e-9 * 8000.0)
+        np.testing.assert_allclose(asked.y, python.y, rtol=1e-9)
 
 
 def test_a_method_without_code_in_c_is_run_in_python(tmp_path: Path, own_cache_folder: None) -> None:
@@ -265,10 +381,11 @@ def test_code_with_its_numbers_apart_is_the_same_for_every_recording(cases: list
 
 def test_a_controller_around_another_one(tmp_path: Path, own_cache_folder: None) -> None:
     inside = {"type": "pid", "proportional": 6.0, "integral": 8.0}
+    filtered = {"type": "safety-filter", "controller": inside, "steps_ahead": 10}
     text = study_text(
         {**PLANT, **MEASURED},
         REFERENCE,
-        {"filtered": {"type": "safety-filter", "settings": {"controller": inside, "steps_ahead": 10}}},
+        {"offset-free": {"type": "offset-free", "settings": {"controller": filtered}}},
         LOOP,
         seeds=[3, 4],
         bounds={**BOUNDS, "angle": {"min": -0.3, "max": 0.31}},
@@ -280,7 +397,8 @@ def test_a_controller_around_another_one(tmp_path: Path, own_cache_folder: None)
         python, compiled = both(case)
         assert_the_same(python, compiled)
         assert python.diagnostics["intervention_rate"] > 0.0
-        assert "intervention_rate" not in compiled.diagnostics  # what is told of steps is Python's alone
+        of_steps = python.diagnostics.keys() - compiled.diagnostics.keys()  # Python's alone
+        assert of_steps == {"intervention_rate", "largest_disturbance[0]"}
     first, second = (controller.loadable_c_code(loop) for controller, loop in map(started, cases))
     assert first.sources == second.sources
 
