@@ -133,20 +133,28 @@ class CompiledEngine:
             self._started = None
             return None
         if isinstance(run.controller, ExcitingController):
-            return CompiledRun(run, NO_CONTROLLER)
-        code = self._code or _code_of(run)
+            return self._experiment(run, run.controller.stabiliser)
+        code = self._code or _code_of(run.controller, run.loop)
         if self._started:
             self._code = code
+        return CompiledRun(run, code)
+
+    def _experiment(self, run: Run, stabiliser: Controller | None) -> "CompiledRun | None":
+        """Return one that records; None: its stabilising controller has no code, which its loop may have."""
+        if stabiliser is None:
+            return CompiledRun(run, NO_CONTROLLER)
+        try:
+            code = _code_of(stabiliser, run.loop)
+        except NeedsPythonError:
+            return None
         return CompiledRun(run, code)
 
 
 def reason_against(run: Run) -> str:
     """Return what a run has that the compiled loop does not know; empty for nothing."""
-    setup, loop, controller = run.setup, run.loop, run.controller
+    setup, loop = run.setup, run.loop
     if not isinstance(setup.plant, FMUPlant):
         return f"{type(setup.plant).__name__} is a plant in Python"
-    if isinstance(controller, ExcitingController) and controller.is_stabilised:
-        return "the experiment has a stabilising controller"
     known, kinds = effect_numbers(), all_conditions()
     reasons = [name for name in setup.effects if name not in known]
     if run.first or loop.continues_recording or loop.past:
@@ -208,7 +216,7 @@ class CompiledRun:
         others = [i for i, v in enumerate(setup.measurements) if v.name not in controlled]
         self.plant_outputs = np.array(run.y_plant, dtype=np.float64)
         disturbances, n = setup.disturbances, len(setup.disturbances.sensed)
-        self._further = _Further(run, rows)
+        self._further = _Further(run, rows, is_controlled=code is not NO_CONTROLLER)
         self._status: NDArray[np.uint32] = np.zeros(rows, np.uint32)
         self._keep: list[Any] = []
         ahead = (1 + loop.preview) * len(outputs) + self._further.width
@@ -270,7 +278,7 @@ class CompiledRun:
             given=self._address(self._further.given),
             status=self._address(self._status, np.uint32),
         )
-        if commands is None:
+        if code is not NO_CONTROLLER:
             state = self._program.started(self._code.numbers)
             self._keep.append(state)
             self._loop.controller = ctypes.addressof(state)
@@ -306,6 +314,8 @@ class CompiledRun:
         if ended is None or ended == _PLANT_FAILED:
             raise NeedsPythonError("the plant is not stepped from C")
         self._further.take(begin, progress.rows)
+        if isinstance(controller := self._run.controller, ExcitingController):
+            controller.fallbacks += int(np.count_nonzero(self._status[begin : progress.rows]))
         store.take(begin, progress.rows, self._texts(self._status[begin : progress.rows]))
         if ended != _DONE:
             require_finite(self.plant_outputs, plant)
@@ -353,6 +363,8 @@ class _Further:
         The run.
     rows : int
         K, the number of its samples.
+    is_controlled : bool
+        Whether a controller looks at this.
 
     Attributes
     ----------
@@ -370,7 +382,7 @@ class _Further:
         Where all inputs of the plant go, if they are wanted.
     """
 
-    def __init__(self, run: Run, rows: int) -> None:
+    def __init__(self, run: Run, rows: int, *, is_controlled: bool) -> None:
         self._run, self._more, setup = run, run.store.more, run.setup
         self._is_priced = bool(setup.charged.charges)
         wants_signals = self._is_priced or "monitored" in self._more
@@ -378,8 +390,7 @@ class _Further:
         self.given = np.empty((rows, len(setup.plant.inputs))) if self._is_priced else None
         self.d = np.empty_like(run.d)
         self._issues = dict[int, FloatArray]()
-        is_driven_in_c = not isinstance(run.controller, ExcitingController)
-        shapes = further_arguments(run.loop, run.outlook.horizon) if is_driven_in_c else {}
+        shapes = further_arguments(run.loop, run.outlook.horizon) if is_controlled else {}
         starts = dict(zip(shapes, accumulate(map(prod, shapes.values()), initial=0), strict=False))
         self.band, self.width = starts.get("band_now", -1), sum(map(prod, shapes.values()))
         self.table = self._over(rows, shapes) if shapes else None
@@ -425,7 +436,7 @@ class _Further:
                 run.store.reference[k] = outlook.nearest(k, run.store.y[k])
 
 
-def _code_of(run: Run) -> ControllerCode:
+def _code_of(controller: Controller, loop: Loop) -> ControllerCode:
     """Return the code of a started controller.
 
     Raises
@@ -434,6 +445,6 @@ def _code_of(run: Run) -> ControllerCode:
         There is none.
     """
     try:
-        return loadable_controller_code(run.controller, run.loop)
+        return loadable_controller_code(controller, loop)
     except ConfigError as error:
         raise NeedsPythonError(str(error)) from error

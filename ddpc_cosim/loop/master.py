@@ -630,28 +630,32 @@ class ExcitingController(Controller):
         What is applied or added at each sample.
     stabiliser : Controller or None
         Keeps the plant meanwhile.
+
+    Attributes
+    ----------
+    fallbacks : int
+        At how many samples that could not do what it is to.
     """
 
     def __init__(self, excitation: FloatArray, stabiliser: Controller | None) -> None:
-        self.excitation, self._stabiliser = excitation, stabiliser
-        self.is_stabilised = stabiliser is not None
+        self.excitation, self.stabiliser = excitation, stabiliser
         self.horizon = 0 if stabiliser is None else horizon_of(stabiliser)
         self.fallbacks = 0
 
     def start(self, loop: Loop) -> None:
         """Start the stabilising controller."""
-        if self._stabiliser is not None:
-            if learns_from_recording(self._stabiliser):
-                name = type(self._stabiliser).__name__
+        if self.stabiliser is not None:
+            if learns_from_recording(self.stabiliser):
+                name = type(self.stabiliser).__name__
                 raise ConfigError(f"stabiliser: {name} learns from a recording itself")
-            start_controller(self._stabiliser, loop)
+            start_controller(self.stabiliser, loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the excited inputs, shape (m,)."""
         excitation: FloatArray = self.excitation[sample.k]
-        if self._stabiliser is None:
+        if self.stabiliser is None:
             return excitation
-        u, status, *_ = ask_controller(self._stabiliser, sample, len(excitation))
+        u, status, *_ = ask_controller(self.stabiliser, sample, len(excitation))
         self.fallbacks += status != OK
         return Action(u + excitation, status)
 

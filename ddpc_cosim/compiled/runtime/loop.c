@@ -149,15 +149,15 @@ int64_t loop_run(const Loop *loop, Progress *progress)
         progress->rows = row + 1;
 
         double *const u = loop->u + row * loop->m;
-        if (loop->commands) {
-            memcpy(u, loop->commands + row * loop->m, (size_t)loop->m * sizeof(double));
-        } else {
+        memset(u, 0, (size_t)loop->m * sizeof(double));
+        if (loop->controller) {
             choose_values(seen, loop->outputs, loop->p, known);
             choose_values(measured, loop->others, loop->n_others, known + loop->p);
             status |= controller_step(loop->controller, known, look_ahead(loop, row, known, r), u);
         }
         double *const moved = inputs; /* the driven inputs come first, and then go to their places */
         for (int64_t i = 0; i < loop->m; ++i) {
+            if (loop->commands) u[i] += loop->commands[row * loop->m + i];
             u[i] = fmin(fmax(u[i], loop->low[row * loop->m + i]), loop->high[row * loop->m + i]);
             moved[i] = u[i];
         }

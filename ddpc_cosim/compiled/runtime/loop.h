@@ -73,8 +73,8 @@ typedef struct {
     int64_t n_after_noise;
     int64_t loses; /* 0: nothing; 1: what is lost is NaN; 2: the last value stands in */
 
-    const double *commands;  /* (rows, m) in place of a controller, or NULL */
-    void *controller;        /* its state */
+    const double *commands;  /* (rows, m) added to the inputs of the controller; or NULL */
+    void *controller;        /* its state; or NULL: there is none */
     const double *reference; /* (rows + preview, p) */
     int64_t preview;         /* future references that the controller sees */
     int64_t band;            /* where among `further` the edges of bands begin, now and then ahead; -1: no bands */

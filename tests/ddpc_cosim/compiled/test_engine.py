@@ -25,7 +25,7 @@ from ddpc_cosim import (
     cosimulate,
 )
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.compiled.engine import CompiledEngine
+from ddpc_cosim.compiled.engine import CompiledEngine, CompiledRun
 from ddpc_cosim.compiled.program import program_of
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.fmu.plant import FMUPlant
@@ -323,6 +323,38 @@ def test_a_run_that_goes_on_from_another_one(
         assert asked.engine.startswith(engine)
         np.testing.assert_allclose(asked.u, python.u, rtol=0.0, atol=1e-9 * 8000.0)
         np.testing.assert_allclose(asked.y, python.y, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stabiliser", "calls"),
+    [
+        ({"type": "pid", "settings": {"proportional": 2.0, "integral": 1.0}}, 2),
+        ({"type": "spsa", "settings": {"kp": 2.0}}, 1),
+    ],
+    ids=["in C", "in Python"],
+)
+def test_an_experiment_with_a_stabilising_controller(
+    stabiliser: dict[str, Any],
+    calls: int,
+    tmp_path: Path,
+    own_cache_folder: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = RECORDING | {"controller": stabiliser}
+    scenarios = {"noise": SCENARIOS["noise"]}
+    controllers = {"deepc": CONTROLLERS["deepc"]}
+    tables = {"bounds": BOUNDS, "recording": recording, "scenarios": scenarios}
+    text = study_text({**PLANT, **MEASURED}, REFERENCE, controllers, LOOP, **tables)
+    (case,) = cases_in(write(tmp_path, text))
+    made, make = list[CompiledRun](), CompiledRun.__init__
+
+    def note(run: CompiledRun, *args: Any) -> None:
+        made.append(run)
+        make(run, *args)
+
+    monkeypatch.setattr(CompiledRun, "__init__", note)
+    assert_the_same(*both(case))
+    assert len(made) == calls
 
 
 def test_a_method_without_code_in_c_is_run_in_python(tmp_path: Path, own_cache_folder: None) -> None:
