@@ -709,7 +709,7 @@ def _warm_up(
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     y_plant = _run_before(setup, controller, loop, rows, y_plant, "warm-up")
-    return _Stretch(rows.recording(), y_plant)
+    return _Stretch(rows.recording(holds=True), y_plant)
 
 
 def _experiment(
@@ -947,16 +947,28 @@ class _Rows:
         rows = self.store.more["forecast"][k + 1 : k + 1 + len(expected)]
         rows[:] = expected[: len(rows)]
 
-    def recording(self) -> Recording:
-        """Return the rows as a recording, of all disturbances."""
+    def recording(self, *, holds: bool = False) -> Recording:
+        """Return the rows as a recording, of all disturbances; ``holds``: the last value for what is lost."""
         seen, d = self._elsewhere
         if self._seen or seen is None:
             seen, d = map(np.array, zip(*self._seen or (), strict=True))
-        return Recording(self.store.u, seen, self.store.measured, self._setup.sampling_time, d=d)
+        measured: FloatArray = self.store.measured
+        if holds:
+            seen, measured = _held(seen), _held(measured)
+        return Recording(self.store.u, seen, measured, self._setup.sampling_time, d=d)
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was written."""
         return {"time": self.time[: self.count], **self.store.written()}
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Return values, shape (T, n), the last one for each that is lost; before any has arrived, the first."""
+    arrived = np.isfinite(values)
+    if arrived.all():
+        return values
+    rows = np.maximum.accumulate(np.where(arrived, np.arange(len(values))[:, np.newaxis], -1), axis=0)
+    return np.take_along_axis(values, np.where(rows < 0, arrived.argmax(axis=0), rows), axis=0)
 
 
 def _closed_loop(

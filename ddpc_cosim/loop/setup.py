@@ -539,8 +539,6 @@ class LoopSetup:
             if place is None or self.measurements[place].unit != variable.unit:
                 remedy = f", as {applied} in {variable.unit} would" if applied else ""
                 unknown.append(f"{variable.name} (no measurement tells{remedy})")
-            elif not np.isfinite(past.measured[:, place]).all():
-                unknown.append(f"{variable.name} (measurements of {applied} are missing)")
             else:
                 u[:, i] = past.measured[:, place]
         if not unknown:

@@ -12,6 +12,7 @@ from fmus.builder import V
 from studies import cases_in, run_file, study_text, write
 
 from ddpc_cosim import (
+    Conditions,
     ConfigError,
     Constant,
     Controller,
@@ -326,6 +327,31 @@ def test_a_past_under_the_plants_own_control_has_what_that_applied_or_is_none(un
     assert controller.past is not None
     assert controller.past.u[:, 0].tolist() == [1000.0] * 4
     assert loop_of(plant, PlantControl(), warm_up=warm).warnings == ()
+
+
+def test_of_what_is_lost_before_the_run_the_last_value_is_known(room: Path) -> None:
+    controller, warm = TakesOver(), 30
+    lossy = Conditions(loss={"reaTZon_y": 0.4})
+    with FMUPlant(room, inputs=["oveHeat_u"], outputs=["reaTZon_y"]) as plant:
+        trace = loop_of(
+            plant,
+            controller,
+            warm_up=warm * H,
+            duration=warm * H,
+            warm_up_controller=Heats(),
+            conditions=lossy,
+        )
+    assert trace.completed
+    assert controller.past is not None
+    there = heated(H * np.arange(warm), 1000.0)
+    known = controller.past.y[:, 0]
+    sources = np.abs(known[:, np.newaxis] - there).argmin(axis=1)
+    assert known == pytest.approx(there[sources], rel=1e-6)
+    arrived = sources == np.arange(warm)
+    assert 0.2 < arrived.mean() < 0.9
+    last = [max([j for j in range(k + 1) if arrived[j]], default=int(arrived.argmax())) for k in range(warm)]
+    assert sources.tolist() == last
+    np.testing.assert_array_equal(controller.past.measured, controller.past.y)
 
 
 def test_what_a_plant_applies_is_only_known_where_it_is_measured() -> None:
