@@ -177,10 +177,11 @@ def as_fmu(library: ctypes.CDLL, path: Path, samples: Samples, folder: Path) -> 
         causality: [v.valueReference for v in description.modelVariables if v.causality == causality]
         for causality in ("input", "output")
     }
-    inputs = (ctypes.c_uint * len(references["input"]))(*references["input"])
-    outputs = (ctypes.c_uint * 1)(references["output"][0])
     n = len(samples.y)
     values = np.hstack([samples.y, samples.r.reshape(n, -1)])
+    # What follows is of controllers that are not active, which this one is from its start on.
+    set_ones = references["input"][: values.shape[1]]
+    inputs, outputs = (ctypes.c_uint * len(set_ones))(*set_ones), (ctypes.c_uint * 1)(references["output"][0])
     times, u = np.full(n, np.inf), np.zeros((n, 1))
     for _ in range(REPETITIONS):
         fmu = fmpy.fmi2.FMU2Slave(
