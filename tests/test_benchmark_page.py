@@ -318,6 +318,18 @@ def test_what_a_hundred_seeds_show_is_what_their_tables_say() -> None:
         assert sum(parts) == pairs
 
 
+def test_what_second_tunings_moved_is_what_their_table_says() -> None:
+    moved = {problem: (float(tau), cells) for problem, tau, cells in table("again")[1:]}
+    assert list(moved) == list(STUDY.problems)
+    least = min(moved, key=lambda problem: moved[problem][0])
+    others = [tau for problem, (tau, _) in moved.items() if problem != least]
+    money = [float(value) for value in re.findall(r" (\d[\d.]*)", moved[least][1])]
+    assert (
+        f"It is {min(others):.2f} to {max(others):.2f}, but {moved[least][0]:.2f} on {coded([least])}. There the "
+        f"figure is money, and those that change places pay {min(money):g} to {max(money):g} EUR."
+    ) in plain(PAGE)
+
+
 def test_no_other_sentence_has_a_number() -> None:
     begin, end = PAGE.index("How to read it, for a choice:"), PAGE.index("What tuning chose, where")
     rest = plain(PAGE[begin:end])
