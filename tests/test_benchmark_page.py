@@ -325,8 +325,8 @@ def test_what_second_tunings_moved_is_what_their_table_says() -> None:
     others = [tau for problem, (tau, _) in moved.items() if problem != least]
     money = [float(value) for value in re.findall(r" (\d[\d.]*)", moved[least][1])]
     assert (
-        f"It is {min(others):.2f} to {max(others):.2f}, but {moved[least][0]:.2f} on {coded([least])}. There the "
-        f"figure is money, and those that change places pay {min(money):g} to {max(money):g} EUR."
+        f"It is {min(others):.2f} to {max(others):.2f}, but {moved[least][0]:.2f} on {coded([least])}. "
+        f"There the figure is money, and those that change places pay {min(money):g} to {max(money):g} EUR."
     ) in plain(PAGE)
 
 
