@@ -200,15 +200,11 @@ def of_memory() -> str:
     }
     most, where = max(sums, key=sums.__getitem__)
     without = [label for label, method in METHODS.items() if method.memory == NO_CODE]
-    lacking = {
-        label: [*(STUDY.problems.keys() - METHODS[label].memory_by_problem)] for label in (*little, *much)
-    }
-    (where_some,) = {problem for problems in lacking.values() for problem in problems}
-    partly = listed(label for label in METHODS if lacking.get(label))
+    assert all(METHODS[of].memory_by_problem.keys() == STUDY.problems.keys() for of in (*little, *much))
     return (
         f"**Memory in C** is {spans[0]} for {listed(little)}, and {spans[1]} for {listed(much)}; the most is "
         f"{METHODS[most].memory.rstrip(']').rpartition(' ')[2]} kB, of {most} on {coded([where])}. "
-        f"{listed(without)} has no C code, nor have {partly} on {coded([where_some])}."
+        f"{listed(without)} has no C code, all others have it on every problem."
     )
 
 

@@ -13,7 +13,7 @@ doi:10.1016/0005-1098(87)90087-2 and 90088-4. There G and f come from a Diophant
 is run over the horizon, which gives the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import ClassVar, Literal
@@ -27,7 +27,7 @@ from ddpc_controllers.data.hankel import (
     resting_input,
 )
 from ddpc_controllers.data.quality import Span, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.data_model import Form
 from ddpc_controllers.models.data_model_prediction import LinearisedPrediction
 from ddpc_controllers.models.recursive import Changes, Lengths, RecursiveLeastSquares, recorded_changes
@@ -60,6 +60,8 @@ class GPC(ScaledSignals):
     measurement that is not finite is a fallback: the inputs are held, and nothing is learned before the
     model's past is known again; the estimates stay.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 
@@ -273,7 +275,7 @@ class GPC(ScaledSignals):
         p, n_d, terms = len(loop.outputs), len(loop.disturbances), len(self._model.root)
         ahead = self.horizon if self.use_forecast and n_d else 0
         prediction, prediction_held = self._prediction.in_c(code)
-        limits, limits_held = self._limits.in_c(code)
+        limits, limits_held, look = self._limits.in_c(code, moving=self._moving)
         gpc = code.constant(
             "GPC",
             prediction=f"&{prediction}",
@@ -297,11 +299,10 @@ class GPC(ScaledSignals):
             prediction_held,
             limits_held,
         )
-        look = ""
         if n_d and code.ahead:
 
             def known(sample: Sample) -> FloatArray:
                 return np.vstack([sample.disturbance, sample.forecast[:ahead]])
 
-            look = code.ahead.chosen(code, known, course)
+            look += code.ahead.chosen(code, known, course)
         return code.step(f"{look}{held}gpc_step(&{gpc}, &held, sample, u, told);")

@@ -16,7 +16,7 @@ are fitted to the window by least squares: exact where F is constant, and linear
 estimates are a few inner products with weights known in advance.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import factorial
 from typing import ClassVar
@@ -25,7 +25,7 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, per_signal, prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input, running_past
-from ddpc_controllers.export.code import Code, Exportable
+from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
@@ -122,6 +122,7 @@ class IPID(Exportable):
     model expects, which is a status.
     """
 
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
     _follows_in_c: ClassVar[bool] = True
 
     accepts_missing: ClassVar[bool] = True
@@ -199,10 +200,6 @@ class IPID(Exportable):
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the law, with the window as it is."""
-        if self._moving:
-            raise ConfigError(
-                "IPID cannot be exported where it has input limits that move: its code in C does not"
-            )
         code.kernel("ipid")
         p = len(self._u)
         ipid = code.constant(
@@ -216,13 +213,14 @@ class IPID(Exportable):
             kd=self.kd,
             **{name: code.doubles(values) for name, values in self._model.tables().items()},
             inverse=code.doubles(self._inverse),
-            low=code.doubles(self._bounds.u_min),
-            high=code.doubles(self._bounds.u_max),
         )
         of_a_step = np.zeros((self.order + 1, p)), np.zeros(p), np.zeros(p)
         begun = -1.0 if self._taken_over else float(self._started)
-        held = code.held("IPIDMemory", begun, *self._model.window(), self._u, self._integral, *of_a_step)
-        return code.step(f"{held}ipid_step(&{ipid}, &held, sample, u, told);")
+        limits = code.memory([self._bounds.u_min, self._bounds.u_max])
+        look = code.ahead.limits(code, 1, limits) if self._moving and code.ahead else ""
+        signals = self._model.window(), self._u, self._integral
+        held = code.held("IPIDMemory", begun, *signals[0], *signals[1:], limits, *of_a_step)
+        return code.step(f"{look}{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and its prior information about the plant."""

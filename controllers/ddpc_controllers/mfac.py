@@ -17,7 +17,7 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 from operator import sub
@@ -28,7 +28,7 @@ import numpy as np
 from ddpc_controllers.checks import prior_info, without_forecast
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import ALL_AHEAD, Code
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, least_changes, rate_limits
@@ -64,6 +64,8 @@ class ModelFreeAdaptive(ScaledSignals):
     is not finite is a fallback: the inputs are held, nothing is learned, and the signals before it are
     forgotten, but not the estimates.
     """
+
+    _known_in_c: ClassVar[Collection[str]] = ALL_AHEAD
 
     accepts_missing: ClassVar[bool] = True
 
@@ -179,7 +181,7 @@ class ModelFreeAdaptive(ScaledSignals):
         """Add the method, with what it has learned."""
         code.kernel("adaptive")
         prediction, prediction_held = self._prediction.in_c(code)
-        limits, limits_held = self._limits.in_c(code)
+        limits, limits_held, look = self._limits.in_c(code, moving=self._moving)
         adaptive = code.constant(
             "Adaptive",
             prediction=f"&{prediction}",
@@ -203,7 +205,7 @@ class ModelFreeAdaptive(ScaledSignals):
             prediction_held,
             limits_held,
         )
-        return code.step(f"{held}adaptive_step(&{adaptive}, &held, sample, u, told);")
+        return code.step(f"{look}{held}adaptive_step(&{adaptive}, &held, sample, u, told);")
 
     @abstractmethod
     def _own_constants(self) -> dict[str, float]:

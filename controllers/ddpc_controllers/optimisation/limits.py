@@ -222,8 +222,18 @@ class ChangeLimits:
             for old, change, (low, high, rate) in zip(u, plan, self._channels, strict=False)
         ], fault
 
-    def in_c(self, code: Code) -> tuple[str, str]:
-        """Add the limits to code in C; return their name, and the initialiser of what they need in memory."""
+    def in_c(self, code: Code, *, moving: bool) -> tuple[str, str, str]:
+        """Add the limits to code in C.
+
+        Returns
+        -------
+        limits : str
+            Their name.
+        held : str
+            The initialiser of what they need in memory.
+        look : str
+            Statements that take those of the inputs at a sample, where they move.
+        """
         m, n = len(self._rates), len(self._scales) if self._optimise else 0
         rated = bool(np.isfinite(self._rates).any())
         limits = code.constant(
@@ -232,14 +242,15 @@ class ChangeLimits:
             steps=self._steps,
             optimise=self._optimise,
             rated=rated,
-            low=code.doubles(self._u_min),
-            high=code.doubles(self._u_max),
             rates=code.doubles(self._rates),
             spans=code.doubles(self._spans),
         )
         limited = (1 + rated) * n
         sizes = (n * n, limited * n, limited, limited, limited, limited, n, qp_memory(n))
-        return limits, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
+        bounds = code.memory([self._u_min, self._u_max])
+        others = [code.memory(np.zeros(size)) for size in sizes]
+        look = code.ahead.limits(code, 1, bounds) if moving and code.ahead else ""
+        return limits, f"{{{', '.join([bounds, *others])}}}", look
 
     def reached(self, u: Sequence[float], changes: FloatArray) -> int:
         """Return at how many limits changes, shape (Nu, m), from ``u`` on are, as far as they keep them."""

@@ -13,7 +13,11 @@ from fmpy.validation import validate_fmu
 from controllers.export.compiled import Beside
 from controllers.test_foresight import PLANTS, Case, make, power, sample_of
 from ddpc_controllers import (
+    GPC,
+    IPID,
     LQR,
+    MFAC,
+    MFAPC,
     MPC,
     PID,
     SPC,
@@ -96,6 +100,10 @@ METHODS: dict[str, Callable[[], Controller]] = {
     "Koopman MPC, delays": lambda: KoopmanMPC(horizon=6, state="delays", delays=2, dictionary=Identity()),
     "PID": lambda: PID(proportional=4.0, integral=0.5, derivative=0.05, feedforward=True),
     "WKPC": lambda: WKPC(dictionary=ThinPlate(count=4)),
+    "GPC": lambda: GPC(horizon=6, control_horizon=3, rate_bounds=0.5),
+    "intelligent PID": lambda: IPID(alpha=2.0, ki=0.2),
+    "MFAC": lambda: MFAC(form="ffdl", lambda_u=0.1),
+    "MFAPC": lambda: MFAPC(horizon=5, control_horizon=2, lambda_u=0.1, rate_bounds=0.5),
     "PID, lower edge": lambda: Scaled(
         controller=BandEdge(margin=0.1, controller=PID(proportional=4.0, integral=0.5, setpoint_share=0.6))
     ),
@@ -113,7 +121,7 @@ METHODS: dict[str, Callable[[], Controller]] = {
     ),
     "safety filter": lambda: SafetyFilter(controller=LQR(horizon=4), steps_ahead=6),
 }
-WITHOUT_OPTIMISATION = ("LQR", "PID", "PID, lower edge", "LQR, upper edge")
+WITHOUT_OPTIMISATION = ("LQR", "PID", "intelligent PID", "PID, lower edge", "LQR, upper edge")
 
 
 def fmu_rows(loop: Loop, samples: list[Sample], horizon: int, *, ahead: bool) -> np.ndarray:

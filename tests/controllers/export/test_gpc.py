@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from controllers.export.compiled import Beside, CompiledController
+from controllers.export.compiled import Beside
 from controllers.export.loops import COUPLED, PENDULUM, Bench, ask_at_random, limited_loop
 from controllers.export.test_ahead import side_by_side
 from controllers.test_foresight import PLANTS
 from ddpc_controllers import GPC
 from ddpc_controllers.models.recursive import RecursiveLeastSquares
-from ddpc_cosim import Bounds, ConfigError, FloatArray, Sample
+from ddpc_cosim import Bounds, FloatArray, Sample
 
 BOUND = 1e-10
 HELD, CLIPPED = 1, 8
@@ -121,7 +121,7 @@ def test_random_settings_and_samples_of_which_most_have_active_limits(seed: int)
 @pytest.mark.parametrize("use_forecast", [True, False])
 def test_known_disturbances_act_in_the_model_now_and_ahead(name: str, use_forecast: bool) -> None:
     controller = GPC(horizon=6, input_length=2, control_horizon=4, use_forecast=use_forecast)
-    beside = side_by_side(controller, PLANTS[name], preview=50, moving_limits=())
+    beside = side_by_side(controller, PLANTS[name], preview=50)
     check(beside)
     assert 0 < beside.limited < beside.steps
     assert np.abs(controller._model.coefficients[controller._model_terms :]).max() > 1e-2
@@ -156,12 +156,3 @@ def test_limits_that_no_change_can_keep_are_told_and_clipped() -> None:
         statuses.append(beside.c.status)
     assert statuses == [CLIPPED, 0, 0]
     check(beside)
-
-
-def test_it_is_not_exported_with_limits_that_move() -> None:
-    loop, _ = PENDULUM.loop()
-    loop = replace(loop, moving_limits=("u0",))
-    controller = GPC()
-    controller.start(loop)
-    with pytest.raises(ConfigError, match="GPC cannot be exported with moving limits"):
-        CompiledController(controller, loop)

@@ -218,7 +218,7 @@ EVERY: dict[str, tuple[Callable[[], Loop], Make]] = {
     **{f"regulated: {name}": (regulated, new) for name, new in METHODS.items()},
     **{name: (lambda bench=bench: bench.loop()[0], new) for name, (bench, new) in PLAIN.items()},  # type: ignore[misc]
     "safety filter": (limited, lambda: SafetyFilter(controller=PID(proportional=0.5, integral=0.3))),
-    "GPC, known disturbances": (lambda: replace(regulated(), moving_limits=()), lambda: GPC(horizon=6)),
+    "GPC, known disturbances": (regulated, lambda: GPC(horizon=6)),
 }
 
 

@@ -23,14 +23,14 @@ bool factorise(const double matrix[], double factor[], size_t n)
 }
 
 /* Whether the whole plan keeps the limits. */
-static bool admits(const ChangeLimits *limits, const double last[], const double plan[])
+static bool admits(const ChangeLimits *limits, const double bounds[], const double last[], const double plan[])
 {
     for (size_t j = 0; j < limits->m; ++j) {
         double level = last[j];
         for (size_t k = 0; k < limits->steps; ++k) {
             const double change = plan[k * limits->m + j];
             level += change;
-            if (level < limits->low[j] || level > limits->high[j] || fabs(change) > limits->rates[j]) return false;
+            if (level < bounds[j] || level > bounds[limits->m + j] || fabs(change) > limits->rates[j]) return false;
         }
     }
     return true;
@@ -55,8 +55,8 @@ static void limit_row(const ChangeLimits *limits, const ChangeLimitsMemory *held
     const double norm = sqrt(dot(row, row, n));
     for (size_t i = 0; i < n; ++i) row[i] /= norm;
     held->value[limited] = value / norm;
-    held->lower[limited] = (is_level ? limits->low[j] - last[j] : -limits->rates[j]) / (span * norm);
-    held->upper[limited] = (is_level ? limits->high[j] - last[j] : limits->rates[j]) / (span * norm);
+    held->lower[limited] = (is_level ? held->bounds[j] - last[j] : -limits->rates[j]) / (span * norm);
+    held->upper[limited] = (is_level ? held->bounds[m + j] - last[j] : limits->rates[j]) / (span * norm);
     held->tolerance[limited] = ROUNDING / norm;
 }
 
@@ -94,7 +94,7 @@ static void optimise(const ChangeLimits *limits, const ChangeLimitsMemory *held,
 }
 
 /* At how many limits the changes are. */
-static unsigned reached(const ChangeLimits *limits, const double last[], const double plan[])
+static unsigned reached(const ChangeLimits *limits, const double bounds[], const double last[], const double plan[])
 {
     unsigned count = 0;
     for (size_t j = 0; j < limits->m; ++j) {
@@ -103,8 +103,8 @@ static unsigned reached(const ChangeLimits *limits, const double last[], const d
         for (size_t k = 0; k < (limits->optimise ? limits->steps : 1); ++k) {
             const double change = plan[k * limits->m + j];
             level += change;
-            count += level <= limits->low[j] + near;
-            count += level >= limits->high[j] - near;
+            count += level <= bounds[j] + near;
+            count += level >= bounds[limits->m + j] - near;
             count += fabs(change) >= limits->rates[j] - near;
         }
     }
@@ -115,16 +115,17 @@ void limit_changes(const ChangeLimits *limits, const ChangeLimitsMemory *held, c
                    const double hessian[], double u[], Told *told)
 {
     const size_t m = limits->m;
+    const double *const bounds = held->bounds;
     if (!all_finite(plan, limits->steps * m)) {
         memcpy(u, last, m * sizeof(double));
         told->status |= STATUS_HELD;
         return;
     }
-    if (limits->optimise && !admits(limits, last, plan)) optimise(limits, held, last, plan, hessian, told);
+    if (limits->optimise && !admits(limits, bounds, last, plan)) optimise(limits, held, last, plan, hessian, told);
     for (size_t j = 0; j < m; ++j) {
         const double change = clip(plan[j], -limits->rates[j], limits->rates[j]);
-        u[j] = clip(last[j] + change, limits->low[j], limits->high[j]);
+        u[j] = clip(last[j] + change, bounds[j], bounds[m + j]);
         plan[j] = u[j] - last[j];
     }
-    told->active_bounds += reached(limits, last, plan);
+    told->active_bounds += reached(limits, bounds, last, plan);
 }

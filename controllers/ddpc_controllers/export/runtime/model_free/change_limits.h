@@ -9,11 +9,12 @@
 typedef struct {
     size_t m, steps;       /* inputs; Nu */
     bool optimise, rated;  /* keep all limits by a QP, or clip the first change; whether changes have limits */
-    const double *low, *high, *rates, *spans; /* of each input */
+    const double *rates, *spans; /* of each input */
 } ChangeLimits;
 
 /* What a QP needs, with n = Nu m changes, and as many limited values: 2 n where changes have limits, else n. */
 typedef struct {
+    double *bounds; /* 2 m: the limits of the inputs now, the lower ones first */
     double *factor; /* n x n */
     double *rows;   /* limited x n */
     double *value, *lower, *upper, *tolerance; /* limited each */

@@ -99,7 +99,7 @@ void ipid_step(const IPID *ipid, const IPIDMemory *held, const Sample *sample, d
     }
     for (size_t j = 0; j < p; ++j) {
         held->u[j] = dot(ipid->inverse + j * p, held->correction, p);
-        u[j] = clip(held->u[j], ipid->low[j], ipid->high[j]);
+        u[j] = clip(held->u[j], held->limits[j], held->limits[p + j]);
     }
     for (size_t i = 0; i < p; ++i) {
         bool limited = false;

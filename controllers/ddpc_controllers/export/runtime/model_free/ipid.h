@@ -9,7 +9,6 @@ typedef struct {
     double sampling_time, kp, ki, kd;
     const double *of_outputs, *of_inputs; /* (order + 1) x (samples + 1), and x samples: estimates of the window */
     const double *alpha, *inverse;        /* p x p */
-    const double *low, *high;             /* limits of the inputs */
 } IPID;
 
 typedef struct {
@@ -17,6 +16,7 @@ typedef struct {
     double *window_y;       /* (samples + 1) x p, oldest first */
     double *window_u;       /* samples x p */
     double *u, *integral;   /* p values each */
+    double *limits;         /* 2 p: of the inputs now, the lower ones first */
     double *estimates;      /* (order + 1) x p: y, its derivatives, and F */
     double *y, *correction; /* p values each, of this step only */
 } IPIDMemory;
