@@ -190,7 +190,9 @@ class Cascade(Wrapper):
         constants, start = started(np.zeros(len(rest)))
         slopes = np.zeros((len(start), len(rest)))
         for j in np.flatnonzero(steps):
-            slopes[:, j] = (started(steps * np.eye(len(rest))[j])[1] - start) / steps[j]
+            moved = started(steps * np.eye(len(rest))[j])[1]
+            np.subtract(moved, start, out=slopes[:, j], where=moved != start)  # a limit can be infinite
+            slopes[:, j] /= steps[j]
         others, halfway = started(steps / 2.0)
         if others != constants or not np.allclose(halfway, start + slopes @ steps / 2.0, 1e-12, 1e-12):
             raise ConfigError(
