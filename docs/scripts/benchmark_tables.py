@@ -2,10 +2,10 @@
 
 What methods take of a target's memory is measured anew, with the settings of that run.
 
-Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...] [--many FOLDER]``: the folder that
+Run ``python docs/scripts/benchmark_tables.py RESULTS [TRIALS ...] [--many FOLDER ...]``: the folder that
 ``ddpc-cosim run benchmark`` wrote and, where problems were tuned with another seed of the sampler too,
 ``trials.csv`` of the tuning (if parts were tuned apart, several, joined by commas) and those of the others;
-``--many``: a folder of the same with many seeds, of the scenario ``noise``. A table stands between
+``--many``: folders of the same with many seeds, each of one scenario. A table stands between
 ``<!-- table: NAME -->`` and ``<!-- end -->``; what nothing is given for stays as it is.
 """
 
@@ -374,7 +374,7 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path)
     parser.add_argument("trials", nargs="*", default=[])
-    parser.add_argument("--many", type=Path)
+    parser.add_argument("--many", type=Path, nargs="*", default=[])
     given = parser.parse_args()
     results = load_results(given.results)
     across = overall(results.problems())
@@ -396,9 +396,10 @@ def main() -> None:
     if given.trials:
         first, *others = ([Path(path) for path in paths.split(",")] for paths in given.trials)
         tables["again"] = again(chosen(first), others)
-    if given.many:
-        of_noise = load_results(given.many)
-        tables |= {"many": many(of_noise, labels), "pairs": pairs(of_noise)}
+    for folder in given.many:
+        of_many = load_results(folder)
+        (scenario,) = {case.scenario for case in of_many.cases}
+        tables |= {f"many-{scenario}": many(of_many, labels), f"pairs-{scenario}": pairs(of_many)}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         text = _TABLE.sub(lambda match: match[1] + tables.get(match[2], match[3]) + match[4], text)
