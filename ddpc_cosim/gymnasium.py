@@ -292,8 +292,9 @@ class ProblemEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def _answer(self, run: Steps[Trace], action: FloatArray) -> Question:
         """Let the run go on with an action and return what it asks next, as :func:`master.answer` does."""
+        self._agent.action = action
         try:
-            decision = decision_of(self._agent, action, 0.0, len(action))
+            decision = decision_of(self._agent, self._agent.step(self._question[1]), 0.0, len(action))
         except ControllerError as error:
             return run.throw(error)
         return run.send(decision)
@@ -384,14 +385,15 @@ class Agent(Controller):
 
     def __init__(self, horizon: int) -> None:
         self.horizon = horizon
+        self.action: FloatArray = np.empty(0)
 
     def start(self, loop: Loop) -> None:
         """Keep what is known of the loop."""
         self.loop = loop
 
     def step(self, sample: Sample) -> FloatArray:
-        """Is not asked: actions are given."""
-        raise NotImplementedError
+        """Return the action, which has been chosen at this sample, shape (m,)."""
+        return self.action
 
 
 def _going_on(case: Case, state: Any) -> Case:

@@ -3,7 +3,6 @@
 import errno
 import json
 import math
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,13 +25,11 @@ from ddpc_cosim import (
     load_results,
 )
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study import case_files
 from ddpc_cosim.study.case_files import (
     load_case,
     read_run,
     read_trace,
-    recompute_metrics,
     sealed_json,
     write_case,
 )
@@ -174,44 +171,6 @@ def test_the_files_can_be_read_without_this_program(tmp_path: Path, trace: Trace
     assert run["outcome"] == "completed"
     assert run["bounds"]["u_max"] == ["inf"]
     assert run["metrics"]["sum_abs_error.y [m]"] == 0.1
-
-
-_WRITES_IT_FOR_EVER = """
-import subprocess
-import sys
-from dataclasses import replace
-from itertools import count
-from pathlib import Path
-
-from ddpc_cosim.study.case_files import read_run, read_trace, write_case
-
-case = Path(sys.argv[1])
-trace = read_trace(case)
-head = read_run(case)
-head = {key: head[key] for key in ("id", "controller", "label", "scenario", "seed", "storage")}
-for n in count():
-    write_case(case, replace(trace, solve_time=trace.solve_time + n), head)
-    if n == 1:
-        print("begun", flush=True)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked")
-def test_a_case_is_read_whole_while_another_run_writes_it_again(tmp_path: Path, trace: Trace) -> None:
-    """Between two moves there is no case, and the samples of one do not belong to the figures of another."""
-    case = tmp_path / "case"
-    write_case(case, trace, HEAD)
-    command = [sys.executable, "-c", _WRITES_IT_FOR_EVER, str(case)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
-        try:
-            assert writer.stdout
-            assert writer.stdout.readline() == b"begun\n"
-            for preview in range(1, 301):
-                assert len(load_case(case).trace()) == 2
-                recompute_metrics(case, MetricSettings(preview))
-            assert writer.poll() is None
-        finally:
-            writer.kill()
 
 
 def test_names_and_units_of_any_characters_cost_no_case(tmp_path: Path, trace: Trace) -> None:
