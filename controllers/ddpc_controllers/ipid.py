@@ -218,8 +218,8 @@ class IPID(Exportable):
         begun = -1.0 if self._taken_over else float(self._started)
         limits = code.memory([self._bounds.u_min, self._bounds.u_max])
         look = code.ahead.limits(code, 1, limits) if self._moving and code.ahead else ""
-        signals = self._model.window(), self._u, self._integral
-        held = code.held("IPIDMemory", begun, *signals[0], *signals[1:], limits, *of_a_step)
+        learned = *self._model.window(), self._u, self._integral
+        held = code.held("IPIDMemory", begun, *learned, limits, *of_a_step)
         return code.step(f"{look}{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
