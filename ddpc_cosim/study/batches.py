@@ -18,6 +18,7 @@ from ddpc_cosim.study.case_files import (
     DAMAGED,
     CaseResult,
     checksum,
+    load_case,
     parse_sealed,
     result_of_run,
     sealed_json,
@@ -89,6 +90,7 @@ class Batched(Mapping[str, CaseResult]):
     """
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self._cases: dict[str, CaseResult] = {}
         self._settings: dict[str, dict[str, Any]] = {}
         self._places: dict[str, list[Path]] = {}
@@ -96,21 +98,15 @@ class Batched(Mapping[str, CaseResult]):
         for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=_written):
             try:
                 runs = read_batch(path)
-                cases = {run["id"]: result_of_run(run, folder / run["id"], batched=True) for run in runs}
+                cases = self._results(runs)
             except DAMAGED:
                 continue
-            self._cases |= cases
-            self._settings |= {run["id"]: run["metric_settings"] for run in runs}
-            self._left[path] = len(cases)
-            for case_id in cases:
-                self._places.setdefault(case_id, []).append(path)
+            self._keep(path, runs, cases)
 
-    def replaced(self, case_id: str) -> None:
-        """Remove the batch of which a case, which has been run again, was the last one that counted."""
-        for path in self._places.pop(case_id, ()):
-            self._left[path] -= 1
-            if not self._left[path]:
-                path.unlink(missing_ok=True)
+    def load(self, case_id: str) -> CaseResult:
+        """Return a case, as its own files tell of it where it has some; errors as of :func:`load_case`."""
+        place = self.folder / case_id
+        return self._cases[case_id] if case_id in self._cases and not place.exists() else load_case(place)
 
     def __getitem__(self, case_id: str) -> CaseResult:
         return self._cases[case_id]
@@ -127,31 +123,50 @@ class Batched(Mapping[str, CaseResult]):
             return False
         return not self._cases[case_id].transient and self._settings[case_id] == asdict(settings)
 
+    def accept(self, staged: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
+        """Move a batch that a process has staged to where its cases belong, if it has those; return them.
 
-def accept_batch(staged: Path, folder: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
-    """Move a batch that a process has staged to where its cases belong, if it has those; return them.
+        Parameters
+        ----------
+        staged : Path
+            The file, on the same disk as the folder.
+        heads : sequence of dict
+            What each case is.
 
-    Parameters
-    ----------
-    staged : Path
-        The file.
-    folder : Path
-        The folder of cases, on the same disk.
-    heads : sequence of dict
-        What each case is.
+        Raises
+        ------
+        CosimError
+            It has others, or cannot be moved.
+        """
+        path = self.folder / staged.name
+        try:
+            runs = read_batch(staged)
+            for run, head in zip(runs, heads, strict=True):
+                if any(run[key] != value for key, value in head.items()):
+                    raise ValueError(f"{staged.name} is of case {run['id']}, not {head['id']}")
+            cases = self._results(runs)
+            staged.replace(path)
+        except DAMAGED as error:
+            raise CosimError(f"a batch of cases cannot be kept: {error}") from error
+        for case in cases:
+            self._forget(case.id)
+        self._keep(path, runs, cases)
+        return cases
 
-    Raises
-    ------
-    CosimError
-        It has others, or cannot be moved.
-    """
-    try:
-        runs = read_batch(staged)
-        for run, head in zip(runs, heads, strict=True):
-            if any(run[key] != value for key, value in head.items()):
-                raise ValueError(f"{staged.name} is of case {run['id']}, not {head['id']}")
-        cases = [result_of_run(run, folder / run["id"], batched=True) for run in runs]
-        staged.replace(folder / staged.name)
-    except DAMAGED as error:
-        raise CosimError(f"a batch of cases cannot be kept: {error}") from error
-    return cases
+    def _results(self, runs: Sequence[dict[str, Any]]) -> list[CaseResult]:
+        return [result_of_run(run, self.folder / run["id"], batched=True) for run in runs]
+
+    def _keep(self, path: Path, runs: Sequence[dict[str, Any]], cases: Sequence[CaseResult]) -> None:
+        """Have the cases of a batch in place of those of the same ids that are there already."""
+        self._left[path] = len(cases)
+        for run, case in zip(runs, cases, strict=True):
+            self._cases[case.id] = case
+            self._settings[case.id] = run["metric_settings"]
+            self._places.setdefault(case.id, []).append(path)
+
+    def _forget(self, case_id: str) -> None:
+        """Remove the batch of which a case, which has been run again, was the last one that counted."""
+        for path in self._places.pop(case_id, ()):
+            self._left[path] -= 1
+            if not self._left[path]:
+                path.unlink(missing_ok=True)

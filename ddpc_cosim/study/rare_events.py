@@ -26,6 +26,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import keys_named, metric_of
 from ddpc_cosim.processes.scratch import ScratchFolder
+from ddpc_cosim.study.batches import Batched
 from ddpc_cosim.study.case_files import CaseResult, load_case
 from ddpc_cosim.study.cases import Case, leaves_nothing_behind
 from ddpc_cosim.study.runner import run_batches, run_cases
@@ -284,7 +285,7 @@ class FiguresOfCases:
         with ScratchFolder() as folder:
             if leaves_nothing_behind(self.case) and not self.case.sandbox:
                 alone = []
-                yield from run_batches(deque(cases), folder, self.jobs, alone)
+                yield from run_batches(deque(cases), Batched(folder), self.jobs, alone)
             for case in run_cases(alone, folder, self.jobs):
                 yield case, load_case(folder / case.id)
 

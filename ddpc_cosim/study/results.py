@@ -31,7 +31,6 @@ from ddpc_cosim.study.case_files import (
     CaseResult,
     checksum,
     damaged_files,
-    load_case,
     read_sealed,
     sealed_json,
 )
@@ -542,10 +541,13 @@ class Loaded(NamedTuple):
         return StudyResults(folder, study, self.cases, provenance, self.resting, self.damaged)
 
 
-def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Loaded:
+def load_cases(
+    folder: Path, study: "WholeStudy", case_ids: Iterable[str], batched: Batched | None = None
+) -> Loaded:
     """Return the cases of a study that are sound, judged, and by id what is wrong with the others.
 
-    They are labelled as the study labels them now: a label does not decide a result.
+    They are labelled as the study labels them now: a label does not decide a result. ``batched`` are the
+    folder's batches, for whoever has read them.
     """
     labels = {
         (problem, name): section.label or name
@@ -553,11 +555,10 @@ def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Lo
         for name, section in flat.controllers.items()
     }
     cases, resting, damaged = dict[str, list[CaseResult]](), dict[Run, CaseResult](), {}
-    batched = Batched(folder / CASES_FOLDER)
+    batched = Batched(folder / CASES_FOLDER) if batched is None else batched
     for case_id in case_ids:
-        place = folder / CASES_FOLDER / case_id
         try:
-            case = batched[case_id] if case_id in batched and not place.exists() else load_case(place)
+            case = batched.load(case_id)
             problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
             label = labels.get((problem, case.controller), case.label)
             case = replace(case, problem=problem, label=label)

@@ -56,7 +56,7 @@ from ddpc_cosim.processes.worker import (
     result_of,
     serve_calls,
 )
-from ddpc_cosim.study.batches import Batched, accept_batch, stage_batch
+from ddpc_cosim.study.batches import Batched, stage_batch
 from ddpc_cosim.study.case_files import (
     STAGING,
     CaseResult,
@@ -273,12 +273,14 @@ def run_study(
     claim_folder(folder, study)
     keep_logo(folder, study)
     began = monotonic()
-    ran = run_missing(cases, folder, selection, progress, begin=True)
+    batched = Batched(folder / CASES_FOLDER)
+    ran = run_missing(cases, folder, selection, progress, begin=True, batched=batched)
     took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
-    loaded = load_cases(folder, study, [case.id for case in cases])
+    loaded = load_cases(folder, study, [case.id for case in cases], batched)
     results = loaded.cases
     if extremes := _extremes_without_samples(study, results):
-        run_missing([case for case in cases if case.id in extremes], folder, selection, progress, begin=True)
+        again = [case for case in cases if case.id in extremes]
+        run_missing(again, folder, selection, progress, begin=True, batched=batched)
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
@@ -369,6 +371,7 @@ def run_missing(
     *,
     begin: bool = False,
     workers: "Workers | None" = None,
+    batched: Batched | None = None,
 ) -> int:
     """Run the cases that are not there, and judge the others again where what they are judged by has changed.
 
@@ -388,6 +391,8 @@ def run_missing(
         Whether these are all cases; otherwise each counts as one of those that the progress knows of.
     workers : Workers, optional
         Whoever runs some cases after the other keeps them in between.
+    batched : Batched, optional
+        The folder's batches, for whoever has read them; those of these cases are added.
     """
     cases_folder = folder / CASES_FOLDER
     _require_short_paths(folder, [case.id for case in cases])
@@ -401,7 +406,7 @@ def run_missing(
         how["engine"] = selection.engine
     cases = [replace(case, **how) for case in cases]
     for_batches = _for_batches(cases, selection)
-    batched = Batched(cases_folder)
+    batched = Batched(cases_folder) if batched is None else batched
     by_themselves = {path.name for path in cases_folder.iterdir()}
 
     def is_batched(case: Case) -> bool:
@@ -409,7 +414,7 @@ def run_missing(
         return is_only_there and batched.is_valid(case.id, case.metrics)
 
     def is_there(case: Case) -> bool:
-        return is_batched(case) or _is_there(cases_folder / case.id)
+        return is_batched(case) or (case.id in by_themselves and _is_there(cases_folder / case.id))
 
     missing = {case.id: case for case in cases if selection.fresh or not is_there(case)}
     kept = [case for case in cases if case.id not in missing]
@@ -429,8 +434,7 @@ def run_missing(
     for case in _done(alone, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
-    for case, result in run_batches(together, cases_folder, selection.jobs, lost):
-        batched.replaced(case.id)
+    for case, result in run_batches(together, batched, selection.jobs, lost):
         progress.finished(case, result)
     for case in _done(lost, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
@@ -615,7 +619,7 @@ def run_cases(
 
 
 def run_batches(
-    cases: deque[Case], folder: Path, jobs: int, lost: list[Case]
+    cases: deque[Case], batched: Batched, jobs: int, lost: list[Case]
 ) -> Iterator[tuple[Case, CaseResult]]:
     """Run cases some at a time in ``jobs`` worker processes, and yield each one when its figures are written.
 
@@ -623,8 +627,8 @@ def run_batches(
     ----------
     cases : deque of Case
         What to run: own controllers on own plants, so that processes are as good as new after each.
-    folder : Path
-        Where a file of each batch is written to.
+    batched : Batched
+        Where they are kept.
     jobs : int
         Number of workers.
     lost : list of Case
@@ -635,7 +639,7 @@ def run_batches(
         return
     each = {case.controller: case for case in cases}.values()
     preload = [*_PRELOAD, "ddpc_cosim.compiled.engine", *_plugin_modules([*each])]
-    with _scratch() as temporary, _scratch(folder, STAGING) as staging, _writable():
+    with _scratch() as temporary, _scratch(batched.folder, STAGING) as staging, _writable():
         work = _working_directory(temporary)
         running, idle = list[_Batch](), list[Worker]()
         try:
@@ -657,7 +661,7 @@ def run_batches(
                 for ended in [batch for batch in running if batch.has_ended(ready)]:
                     running.remove(ended)
                     try:
-                        results = ended.results(staging, folder)
+                        results = ended.results(staging, batched)
                     except (CosimError, UnexpectedError, OSError, EOFError, ValueError):
                         ended.worker.end()
                         lost += ended.cases
@@ -686,11 +690,11 @@ class _Batch(NamedTuple):
         each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in self.cases]
         return monotonic() - self.since > max(sum(each), _BETWEEN_CALLS_SECONDS)
 
-    def results(self, staging: Path, folder: Path) -> list[CaseResult]:
+    def results(self, staging: Path, batched: Batched) -> list[CaseResult]:
         """Return its cases, whose file has been put in its place; raises what keeps it from that."""
         seconds = 0.0 if self.is_late else _REPLY_SECONDS
         name = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=seconds))
-        return accept_batch(staging / Path(name).name, folder, [case.head() for case in self.cases])
+        return batched.accept(staging / Path(name).name, [case.head() for case in self.cases])
 
 
 def _are_alike(case: Case, other: Case) -> bool:

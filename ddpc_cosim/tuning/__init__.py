@@ -19,6 +19,7 @@ from ddpc_cosim.files.tables import table_text
 from ddpc_cosim.files.texts import encodable
 from ddpc_cosim.loop.safe_calls import settings_of_other
 from ddpc_cosim.processes.sandbox import demanded
+from ddpc_cosim.study.batches import Batched
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, doing_nothing, patterns_of
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
@@ -215,8 +216,9 @@ def tune_study(
     at_rest = [] if request.by_prediction else doing_nothing(all_cases)
     runs_of_trials = request.trials * sum(in_full[search.problem, search.name] for search in searches)
     progress.start(runs_of_trials + len(at_rest), 0)
-    run_missing(at_rest, folder, selection, progress)
-    runs_at_rest = (load_case(folder / CASES_FOLDER / case.id) for case in at_rest)
+    batched = Batched(folder / CASES_FOLDER)  # of very many seeds
+    run_missing(at_rest, folder, selection, progress, batched=batched)
+    runs_at_rest = (batched.load(case.id) for case in at_rest)
     resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:

@@ -14,7 +14,7 @@ from studies import cases_in, run_file, study_text, write
 from ddpc_cosim import CaseResult, ConfigError, CosimError, StudyResults, load_results
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import batches, runner
-from ddpc_cosim.study.batches import Batched, accept_batch, read_batch, stage_batch
+from ddpc_cosim.study.batches import Batched, read_batch, stage_batch
 from ddpc_cosim.study.case_files import Numbers
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
@@ -216,6 +216,20 @@ def test_cases_of_a_batch_that_takes_too_long_are_run_by_themselves(
 
 
 @pytest.mark.usefixtures("small")
+def test_a_tuning_on_many_seeds_is_judged_by_their_runs_of_doing_nothing(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study.parent)
+    options = ["--trials", "2", "--only", "pid", "--seeds", f"100:{100 + SEEDS}", "--engine", "compiled"]
+    no_more = ["--no-comparison", "--no-report", "--jobs", "2"]
+    result = CliRunner().invoke(main, ["tune", str(study), *options, *no_more, "--out", "tuned"])
+    assert result.exit_code == 0, result.output
+    resting = Batched(study.parent / "tuned/cases")
+    assert {case.controller for case in resting.values()} == {"doing-nothing"}
+    assert len(resting) == SEEDS - 2
+
+
+@pytest.mark.usefixtures("small")
 def test_a_batch_of_other_cases_is_refused(study: Path, tmp_path: Path) -> None:
     run(study)
     folder = tmp_path / "out/cases"
@@ -225,8 +239,8 @@ def test_a_batch_of_other_cases_is_refused(study: Path, tmp_path: Path) -> None:
     staged = stage_batch(tmp_path, runs)
     for wrong in (heads[::-1], heads[:-1], [heads[0] | {"seed": 99}, *heads[1:]]):
         with pytest.raises(CosimError, match="a batch of cases cannot be kept"):
-            accept_batch(staged, tmp_path / "accepted", wrong)
-    accepted = accept_batch(staged, tmp_path / "accepted", heads)
+            Batched(tmp_path / "accepted").accept(staged, wrong)
+    accepted = Batched(tmp_path / "accepted").accept(staged, heads)
     assert [case.id for case in accepted] == [run["id"] for run in runs]
     assert set(Batched(tmp_path / "accepted")) == {run["id"] for run in runs}
 
