@@ -5,12 +5,13 @@ Its name is the hash of its content.
 """
 
 import gzip
+import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
-from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.metrics import MetricSettings
@@ -29,6 +30,7 @@ _NAME, _SUFFIX = "batch-", ".json.gz"
 _DIGITS = 24
 _COMMON, _RUNS = "common", "runs"
 _LONGEST = 1 << 28
+_GZIP = 16 + zlib.MAX_WBITS
 
 
 def stage_batch(folder: Path, runs: Sequence[dict[str, Any]]) -> Path:
@@ -62,8 +64,10 @@ def read_batch(path: Path) -> list[dict[str, Any]]:
     content = path.read_bytes()
     if path.name != f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}":
         raise ValueError(f"{path.name} is not what was written: its checksum differs")
-    with gzip.GzipFile(fileobj=BytesIO(content)) as file:
-        text = file.read(_LONGEST + 1)
+    try:
+        text = zlib.decompressobj(_GZIP).decompress(content, _LONGEST + 1)
+    except zlib.error as error:
+        raise ValueError(f"{path.name}: {error}") from error
     if len(text) > _LONGEST:
         raise ValueError(f"{path.name} has more than {_LONGEST} bytes")
     batch = parse_sealed(text, path.name)
@@ -76,6 +80,14 @@ def _written(path: Path) -> int:
         return path.stat().st_mtime_ns
     except OSError:
         return 0
+
+
+class _Kept(NamedTuple):
+    """A case, what its figures depend on besides its samples, and the batch that it is in."""
+
+    result: CaseResult
+    settings: dict[str, Any]
+    batch: Path
 
 
 class Batched(Mapping[str, CaseResult]):
@@ -91,40 +103,35 @@ class Batched(Mapping[str, CaseResult]):
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._cases: dict[str, CaseResult] = {}
-        self._settings: dict[str, dict[str, Any]] = {}
-        self._places: dict[str, list[Path]] = {}
+        self._kept: dict[str, _Kept] = {}
         self._left: Counter[Path] = Counter()
         for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=_written):
-            try:
-                runs = read_batch(path)
-                cases = self._results(runs)
-            except DAMAGED:
-                continue
-            self._keep(path, runs, cases)
+            with suppress(*DAMAGED):
+                self._keep(self._read(path, path))
 
     def load(self, case_id: str) -> CaseResult:
         """Return a case, as its own files tell of it where it has some; errors as of :func:`load_case`."""
         place = self.folder / case_id
-        return self._cases[case_id] if case_id in self._cases and not place.exists() else load_case(place)
+        return self[case_id] if case_id in self and not place.exists() else load_case(place)
 
     def __getitem__(self, case_id: str) -> CaseResult:
-        return self._cases[case_id]
+        return self._kept[case_id].result
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._cases)
+        return iter(self._kept)
 
     def __len__(self) -> int:
-        return len(self._cases)
+        return len(self._kept)
 
     def is_valid(self, case_id: str, settings: MetricSettings) -> bool:
         """Whether a case is there, would end the same again, and its figures depend on these settings."""
-        if case_id not in self._cases:
-            return False
-        return not self._cases[case_id].transient and self._settings[case_id] == asdict(settings)
+        kept = self._kept.get(case_id)
+        return kept is not None and not kept.result.transient and kept.settings == asdict(settings)
 
     def accept(self, staged: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
         """Move a batch that a process has staged to where its cases belong, if it has those; return them.
+
+        A batch of which no case counts any more is removed.
 
         Parameters
         ----------
@@ -140,33 +147,33 @@ class Batched(Mapping[str, CaseResult]):
         """
         path = self.folder / staged.name
         try:
-            runs = read_batch(staged)
-            for run, head in zip(runs, heads, strict=True):
-                if any(run[key] != value for key, value in head.items()):
-                    raise ValueError(f"{staged.name} is of case {run['id']}, not {head['id']}")
-            cases = self._results(runs)
+            cases = self._read(staged, path, heads)
             staged.replace(path)
         except DAMAGED as error:
             raise CosimError(f"a batch of cases cannot be kept: {error}") from error
-        for case in cases:
-            self._forget(case.id)
-        self._keep(path, runs, cases)
-        return cases
+        for older in self._keep(cases):
+            if not self._left[older]:
+                older.unlink(missing_ok=True)
+        return [kept.result for kept in cases]
 
-    def _results(self, runs: Sequence[dict[str, Any]]) -> list[CaseResult]:
-        return [result_of_run(run, self.folder / run["id"], batched=True) for run in runs]
+    def _read(self, path: Path, place: Path, heads: Sequence[dict[str, Any]] | None = None) -> list[_Kept]:
+        """Return what is in a file that belongs in a place; raises an error of what is damaged."""
+        runs = read_batch(path)
+        for run, head in zip(runs, runs if heads is None else heads, strict=True):
+            if any(run[key] != value for key, value in head.items()):
+                raise ValueError(f"{path.name} is of case {run['id']}, not {head['id']}")
+        return [
+            _Kept(result_of_run(run, self.folder / run["id"], batched=True), run["metric_settings"], place)
+            for run in runs
+        ]
 
-    def _keep(self, path: Path, runs: Sequence[dict[str, Any]], cases: Sequence[CaseResult]) -> None:
-        """Have the cases of a batch in place of those of the same ids that are there already."""
-        self._left[path] = len(cases)
-        for run, case in zip(runs, cases, strict=True):
-            self._cases[case.id] = case
-            self._settings[case.id] = run["metric_settings"]
-            self._places.setdefault(case.id, []).append(path)
-
-    def _forget(self, case_id: str) -> None:
-        """Remove the batch of which a case, which has been run again, was the last one that counted."""
-        for path in self._places.pop(case_id, ()):
-            self._left[path] -= 1
-            if not self._left[path]:
-                path.unlink(missing_ok=True)
+    def _keep(self, cases: Iterable[_Kept]) -> set[Path]:
+        """Have cases count in place of those of the same ids; return the batches that these are in."""
+        older = set()
+        for kept in cases:
+            if before := self._kept.get(kept.result.id):
+                self._left[before.batch] -= 1
+                older.add(before.batch)
+            self._kept[kept.result.id] = kept
+            self._left[kept.batch] += 1
+        return older

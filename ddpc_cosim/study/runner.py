@@ -89,6 +89,7 @@ from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
     CASES_RUN,
+    Loaded,
     StudyResults,
     claim_folder,
     keep_logo,
@@ -272,15 +273,8 @@ def run_study(
     cases = selection.part_of(every)
     claim_folder(folder, study)
     keep_logo(folder, study)
-    began = monotonic()
-    batched = Batched(folder / CASES_FOLDER)
-    ran = run_missing(cases, folder, selection, progress, begin=True, batched=batched)
-    took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
-    loaded = load_cases(folder, study, [case.id for case in cases], batched)
+    loaded, ran, took = _run_and_loaded(cases, folder, study, selection, progress)
     results = loaded.cases
-    if extremes := _extremes_without_samples(study, results):
-        again = [case for case in cases if case.id in extremes]
-        run_missing(again, folder, selection, progress, begin=True, batched=batched)
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
@@ -289,10 +283,25 @@ def run_study(
         of_plant = facts_of_problem(of_problem.get(name, []), plant, resolved.problems[name].metrics.preview)
         provenance |= {provenance_of(name, key) if several else key: fact for key, fact in of_plant.items()}
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
-    run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
+    how = f"{took:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
+    run = facts_of_run(results, resolved.file, selection.options(), workers, how) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
     written = loaded.of(folder, study, provenance | run)
     return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
+
+
+def _run_and_loaded(
+    cases: Sequence[Case], folder: Path, study: "WholeStudy", selection: Selection, progress: Progress
+) -> tuple[Loaded, int, float]:
+    """Run the cases that are not there; return all, how many were run, and how long that took [s]."""
+    began, batched = monotonic(), Batched(folder / CASES_FOLDER)
+    ran = run_missing(cases, folder, selection, progress, begin=True, batched=batched)
+    took = monotonic() - began
+    loaded = load_cases(folder, study, [case.id for case in cases], batched)
+    if extremes := _extremes_without_samples(study, loaded.cases):
+        again = [case for case in cases if case.id in extremes]
+        run_missing(again, folder, selection, progress, begin=True, batched=batched)
+    return loaded, ran, took
 
 
 def _extremes_without_samples(study: "WholeStudy", results: Sequence[CaseResult]) -> set[str]:

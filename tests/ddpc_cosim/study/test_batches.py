@@ -15,7 +15,7 @@ from ddpc_cosim import CaseResult, ConfigError, CosimError, StudyResults, load_r
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import batches, runner
 from ddpc_cosim.study.batches import Batched, read_batch, stage_batch
-from ddpc_cosim.study.case_files import Numbers
+from ddpc_cosim.study.case_files import Numbers, checksum
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.results import write_report
@@ -253,6 +253,15 @@ def test_a_small_file_of_much_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
     assert path.stat().st_size < 10_000
     with pytest.raises(ValueError, match="more than 10000 bytes"):
         read_batch(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"no gzip", gzip.compress(b"{}")[:-12], gzip.compress(b"{")])
+def test_a_file_of_the_right_name_that_holds_no_batch_is_no_case(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / f"batch-{checksum(content)[:24]}.json.gz"
+    path.write_bytes(content)
+    with pytest.raises((ValueError, KeyError)):
+        read_batch(path)
+    assert not Batched(tmp_path)
 
 
 @pytest.mark.usefixtures("small")
