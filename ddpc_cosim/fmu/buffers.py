@@ -218,7 +218,7 @@ class Port:
         block = self._whole
         if block is None or function not in (block.names.get, block.names.set):
             return None
-        references = np.ctypeslib.as_array(block.layout.references)
+        references = np.frombuffer(block.layout.references, dtype=np.uint32)
         return references if len(references) == block.layout.size else None
 
     def fetch(self) -> None:
