@@ -123,7 +123,7 @@ class Block:
     def __init__(self, instance: Instance, layout: BlockLayout) -> None:
         self.layout, self.names = layout, instance.types[layout.type]
         memory = (self.names.c_type * layout.size)()
-        self.values: NDArray[Any] = np.ctypeslib.as_array(memory)
+        self.values: NDArray[Any] = np.asarray(memory)
         arguments = instance.value_arguments(layout.references, layout.size, memory)
         self._get = partial(instance.function(self.names.get), instance.component, *arguments)
         self._set = partial(instance.function(self.names.set), instance.component, *arguments)

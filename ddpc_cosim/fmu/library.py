@@ -15,7 +15,6 @@ import typing
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -96,8 +95,8 @@ class _TolerantLoading:
 
     def another(self, name: str) -> Any:
         """Return an object for another instance, which is called by a name, in the same library."""
-        other: Any = copy(self)
-        other.instanceName = name
+        other: Any = object.__new__(type(self))
+        vars(other).update(vars(self), instanceName=name)
         other.users.append(name)
         return other
 

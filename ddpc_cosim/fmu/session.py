@@ -494,8 +494,7 @@ def _make_instance(fmu: UnpackedFMU) -> Instance:
     """Load and instantiate an FMU; raises whatever the loader or the FMU says."""
     description, interface = fmu.description, fmu.interface
     key = (interface.model_identifier, description.guid)
-    other = _only_ones.get(key)
-    if interface.only_one_instance and other is not None and other.is_alive:
+    if interface.only_one_instance and (other := _only_ones.get(key)) is not None and other.is_alive:
         raise RuntimeError(
             "it allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one; "
             "close that, or give each a process of its own (isolated=True)"
