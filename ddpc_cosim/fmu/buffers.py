@@ -7,9 +7,7 @@ during a run. A value that the FMU refuses, or does not take, is an error.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import prod
 from typing import Any, NamedTuple
@@ -37,82 +35,138 @@ Shapes = Mapping[str, tuple[int, ...]]
 """The sizes of array variables by name, where structural parameters have changed them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """All variables of one FMI type in a port: one call moves them.
+class BlockLayout(NamedTuple):
+    """How the variables of one FMI type lie in a port: what all instances of an FMU have in common.
 
     Parameters
     ----------
-    get, set : callable
-        The calls, with all arguments bound; they return an FMI status.
-    names : ValueType
-        The names of the calls.
-    variables : tuple of str
-        The names of the variables, by entry.
-    values : array
-        The memory that C sees.
-    positions, elements : array of int
-        The port's entries ``positions`` are the memory's elements ``elements``.
+    type : str
+        The name of the type.
     kind : str
         What the variables' values are: real, integer or boolean.
-    negated : array of bool, optional
+    variables : tuple of str
+        The names of the variables, by entry.
+    references : ctypes array
+        Their value references, each once.
+    size : int
+        Numbers in the memory that C sees.
+    positions, elements : array of int
+        The port's entries ``positions`` are the memory's elements ``elements``.
+    negated : array of bool or None
         Which of the port's entries are the opposite of what is in memory (FMI 1.0).
+    is_in_order : bool
+        Whether the memory has the port's entries as they are, if the port has no other block.
     """
 
-    get: Callable[[], int]
-    set: Callable[[], int]
-    names: ValueType
+    type: str
+    kind: Values
     variables: tuple[str, ...]
-    values: NDArray[Any]
+    references: Any
+    size: int
     positions: NDArray[np.intp]
     elements: NDArray[np.intp]
-    kind: Values
-    negated: NDArray[np.bool_] | None = None
+    negated: NDArray[np.bool_] | None
+    is_in_order: bool
 
-    @property
-    def is_vector(self) -> bool:
-        """Whether the memory is the port's vector, if the port has no other block."""
-        in_order = np.array_equal(self.elements, np.arange(len(self.values)))
-        return in_order and self.negated is None and self.values.dtype == np.float64
+
+def block_layouts(signals: Sequence[PlantSignal], shapes: Shapes) -> list[BlockLayout]:
+    """Return how signals lie in a port, in their order: a block of each FMI type.
+
+    Raises
+    ------
+    ConfigError
+        A signal is outside its array.
+    """
+    by_type: dict[str, list[int]] = {}
+    for i, signal in enumerate(signals):
+        by_type.setdefault(signal.source.type, []).append(i)
+    return [
+        _block_layout([signals[i] for i in positions], positions, shapes) for positions in by_type.values()
+    ]
+
+
+def _block_layout(signals: Sequence[PlantSignal], positions: list[int], shapes: Shapes) -> BlockLayout:
+    """Return the layout of signals of one FMI type."""
+    references, size, elements = layout(signals, shapes)
+    negated = np.array([signal.source.negated for signal in signals])
+    return BlockLayout(
+        type=signals[0].source.type,
+        kind=signals[0].source.values,
+        variables=tuple(signal.variable.name for signal in signals),
+        references=reference_array(references),
+        size=size,
+        positions=np.array(positions, dtype=np.intp),
+        elements=np.array(elements, dtype=np.intp),
+        negated=negated if negated.any() else None,
+        is_in_order=elements == list(range(size)) and not negated.any(),
+    )
+
+
+class Block:
+    """All variables of one FMI type in a port of an instance: one call moves them.
+
+    Parameters
+    ----------
+    instance : Instance
+        The FMU.
+    layout : BlockLayout
+        How they lie in memory.
+
+    Attributes
+    ----------
+    names : ValueType
+        The names of the calls.
+    values : array
+        The memory that C sees.
+    """
+
+    def __init__(self, instance: Instance, layout: BlockLayout) -> None:
+        self.layout, self.names = layout, instance.types[layout.type]
+        memory = (self.names.c_type * layout.size)()
+        self.values: NDArray[Any] = np.asarray(memory)
+        arguments = instance.value_arguments(layout.references, layout.size, memory)
+        self._get = partial(instance.function(self.names.get), instance.component, *arguments)
+        self._set = partial(instance.function(self.names.set), instance.component, *arguments)
 
     def write(self) -> None:
         """Pass the memory to the FMU."""
-        status = self.set()
+        status = self._set()
         if status not in SUCCESS:
             raise failed_call(self.names.set, status)
 
     def read(self) -> None:
         """Let the FMU fill the memory."""
-        status = self.get()
+        status = self._get()
         if status not in SUCCESS:
             raise failed_call(self.names.get, status)
 
     def accept(self, u: FloatArray) -> None:
         """Convert the port's numbers to the block's type: integers are rounded, booleans are u >= 0.5."""
-        chosen = self._with_signs(u[self.positions])
-        if self.kind == "boolean":
-            self.values[self.elements] = chosen >= 0.5
-        elif self.kind == "real":
-            self.values[self.elements] = chosen
+        chosen = self._with_signs(u[self.layout.positions])
+        if self.layout.kind == "boolean":
+            self.values[self.layout.elements] = chosen >= 0.5
+        elif self.layout.kind == "real":
+            self.values[self.layout.elements] = chosen
         else:
             rounded, limits = np.rint(chosen), np.iinfo(self.values.dtype)
             # A float can be the number above the largest one: a power of two.
             fits = (rounded >= limits.min) & (rounded < float(limits.max + 1))
             if not fits.all():  # it would become another number
                 wrong = int(np.argmin(fits))
-                what = f"{self.variables[wrong]} = {chosen[wrong]:g} is outside what its type can be"
+                what = f"{self.layout.variables[wrong]} = {chosen[wrong]:g} is outside what its type can be"
                 raise CallError(f"{what}: [{limits.min}, {limits.max}]")
-            self.values[self.elements] = rounded
+            self.values[self.layout.elements] = rounded
 
     def numbers(self) -> NDArray[Any]:
         """Return the port's entries in the memory."""
-        return self._with_signs(self.values[self.elements])
+        return self._with_signs(self.values[self.layout.elements])
 
     def _with_signs(self, numbers: NDArray[Any]) -> NDArray[Any]:
-        if self.negated is None:
+        negated = self.layout.negated
+        if negated is None:
             return numbers
-        opposite = 1 - numbers if self.kind == "boolean" else -numbers
-        return np.where(self.negated, opposite, numbers)
+        opposite = 1 - numbers if self.layout.kind == "boolean" else -numbers
+        return np.where(negated, opposite, numbers)
 
 
 class Port:
@@ -122,24 +176,17 @@ class Port:
     ----------
     instance : Instance
         The FMU.
-    signals : sequence of PlantSignal
-        The numbers, in the vector's order.
-    shapes : mapping of str to tuple of int
-        Sizes of arrays that differ from the description's.
+    layouts : sequence of BlockLayout
+        How the numbers lie in memory, as :func:`block_layouts` gives it.
     """
 
-    def __init__(self, instance: Instance, signals: Sequence[PlantSignal], shapes: Shapes) -> None:
-        self._length = len(signals)
-        by_type: dict[str, list[int]] = {}
-        for i, signal in enumerate(signals):
-            by_type.setdefault(signal.source.type, []).append(i)
-        self._blocks = [
-            _block(instance, [signals[i] for i in positions], positions, shapes)
-            for positions in by_type.values()
-        ]
+    def __init__(self, instance: Instance, layouts: Sequence[BlockLayout]) -> None:
+        self._length = sum(len(layout.positions) for layout in layouts)
+        self._blocks = [Block(instance, layout) for layout in layouts]
         only = self._blocks[0] if len(self._blocks) == 1 else None
         # The usual FMU has real inputs and outputs: memory and vector are the same, nothing has to be sorted.
-        self._whole = only if only is not None and only.is_vector else None
+        is_vector = only is not None and only.layout.is_in_order and only.values.dtype == np.float64
+        self._whole = only if is_vector else None
 
     def write(self, u: FloatArray) -> None:
         """Write the numbers u, shape (n,)."""
@@ -160,7 +207,7 @@ class Port:
         y = np.empty(self._length)
         for block in self._blocks:
             block.read()
-            y[block.positions] = block.numbers()
+            y[block.layout.positions] = block.numbers()
         return y
 
     def references(self, function: str) -> NDArray[np.uint32] | None:
@@ -171,13 +218,13 @@ class Port:
         block = self._whole
         if block is None or function not in (block.names.get, block.names.set):
             return None
-        references = np.ctypeslib.as_array(block.get.args[1])  # type: ignore[attr-defined]
-        return references if len(references) == len(block.values) else None
+        references = np.frombuffer(block.layout.references, dtype=np.uint32)
+        return references if len(references) == block.layout.size else None
 
     def fetch(self) -> None:
         """Read what the FMU has, so that elements of arrays that are not written keep their values."""
         for block in self._blocks:
-            if len(block.elements) < len(block.values):
+            if len(block.layout.elements) < block.layout.size:
                 block.read()
 
 
@@ -216,29 +263,9 @@ def layout(signals: Sequence[PlantSignal], shapes: Shapes) -> Layout:
     return Layout(list(variables), size, elements)
 
 
-def _block(instance: Instance, signals: Sequence[PlantSignal], positions: list[int], shapes: Shapes) -> Block:
-    """Return the block of signals of one FMI type."""
-    value_type = instance.types[signals[0].source.type]
-    references, size, elements = layout(signals, shapes)
-    memory = (value_type.c_type * size)()
-    arguments = (
-        instance.component,
-        *instance.value_arguments(reference_array(references), size, memory),
-    )
-    return Block(
-        get=partial(instance.function(value_type.get), *arguments),
-        set=partial(instance.function(value_type.set), *arguments),
-        names=value_type,
-        variables=tuple(signal.variable.name for signal in signals),
-        values=np.ctypeslib.as_array(memory),
-        positions=np.array(positions, dtype=np.intp),
-        elements=np.array(elements, dtype=np.intp),
-        kind=signals[0].source.values,
-        negated=negated if (negated := np.array([s.source.negated for s in signals])).any() else None,
-    )
-
-
 def _place(signal: PlantSignal, shapes: Shapes) -> int:
+    if not signal.indices:
+        return 0
     shape = shapes.get(signal.source.name, signal.source.shape)
     if any(index > size for index, size in zip(signal.indices, shape, strict=True)):
         raise ConfigError(
@@ -383,42 +410,55 @@ class StartValues:
                 ) from error
 
     def _set_one(self, instance: Instance, signal: PlantSignal, value: Value) -> None:
-        if signal.source.values == "text":
-            self._set_text(instance, signal, str(value))
-            return
-        block = _block(instance, [signal], [0], self.shapes)
-        if len(block.values) > 1:  # the other elements keep their values
-            block.read()
-        block.accept(np.array([_number(signal.source, value)]))
-        block.write()
-
-    def _set_text(self, instance: Instance, signal: PlantSignal, text: str) -> None:
-        value_type = instance.types[signal.source.type]
-        references, size, (place,) = layout([signal], self.shapes)
-        memory = (value_type.c_type * size)()
-        arguments = instance.value_arguments(reference_array(references), size, memory)
-        if size > 1:
-            instance.call(value_type.get, *arguments)
-        memory[place] = text.encode("utf-8")
-        instance.call(value_type.set, *arguments)
+        names, memory, place, arguments = self._cell(instance, signal)
+        if len(memory) > 1:  # the other elements keep their values
+            instance.call(names.get, *arguments)
+        memory[place] = _stored(signal.source, value)
+        instance.call(names.set, *arguments)
 
     def _read(self, instance: Instance, signal: PlantSignal) -> float | None:
         """Return the value that the FMU has; None for a text, and where it does not tell."""
         if signal.source.values == "text":
             return None
-        block = _block(instance, [signal], [0], self.shapes)
+        names, memory, place, arguments = self._cell(instance, signal)
         try:
-            block.read()
+            instance.call(names.get, *arguments)
         except CallError:
             return None
-        return float(block.numbers()[0])
+        return _opposite(signal.source, float(memory[place]))
+
+    def _cell(self, instance: Instance, signal: PlantSignal) -> tuple[ValueType, Any, int, tuple[Any, ...]]:
+        """Return how a value is moved: the calls, memory for its variable, its place there, and arguments."""
+        source, value_type = signal.source, instance.types[signal.source.type]
+        size = prod(self.shapes.get(source.name, source.shape))
+        memory = (value_type.c_type * size)()
+        arguments = instance.value_arguments(reference_array([source.reference]), size, memory)
+        return value_type, memory, _place(signal, self.shapes), arguments
+
+
+def _stored(variable: DescribedVariable, value: Value) -> Any:
+    """Return what is put in the memory of C for a value that has been checked."""
+    if variable.values == "text":
+        return str(value).encode("utf-8")
+    number = _opposite(variable, _number(variable, value))
+    return number if variable.values == "real" else int(number)
+
+
+def _opposite(variable: DescribedVariable, number: float) -> float:
+    """Return what a number in memory is as a value, and the other way round (FMI 1.0)."""
+    if not variable.negated:
+        return number
+    return 1.0 - number if variable.values == "boolean" else -number
 
 
 def _number(variable: DescribedVariable, value: Value) -> float:
     """Return a value as a number; values of enumerations by their name too."""
     if not isinstance(value, str):
-        with suppress(TypeError, OverflowError):  # it is anything but a number, or one too large
+        try:
             number = float(value)
+        except (TypeError, OverflowError):  # it is anything but a number, or one too large
+            pass
+        else:
             if isinstance(value, int) and variable.values == "integer" and int(number) != value:
                 raise ValueError(
                     f"parameter {variable.name} = {value} is not a number of double precision, in which "

@@ -2,7 +2,8 @@
 
 import ctypes
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import fmpy.fmi2
@@ -25,11 +26,24 @@ _MOST_ITERATIONS = 1000
 
 class _Fmi2(Instance):
     major = 2
+    kind: int
     types = value_types(2)
     directional_derivative = "fmi2GetDirectionalDerivative"
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
-        self._fmu.instantiate(callbacks=fmi2_callbacks(self.log), loggingOn=logging)
+        fmu = self._fmu
+        fmu.callbacks = fmi2_callbacks(self.log)  # kept as long as the instance
+        fmu.component = self.function("fmi2Instantiate")(
+            fmu.instanceName.encode("utf-8"),
+            self.kind,
+            fmu.guid.encode("utf-8"),
+            _resource_location(fmu.unzipDirectory),
+            ctypes.byref(fmu.callbacks),
+            False,
+            logging,
+        )
+        if not fmu.component:
+            raise RuntimeError("Failed to instantiate model")
 
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         return references, len(references), memory
@@ -88,6 +102,12 @@ class _Fmi2(Instance):
         self.call(self.directional_derivative, *references, seed, sensitivity)
 
 
+@lru_cache(maxsize=8)
+def _resource_location(folder: str) -> bytes:
+    """Return the URI of the resources of an FMU that is unpacked in a folder."""
+    return Path(folder, "resources").as_uri().encode("utf-8")
+
+
 def _characters(memory: Any) -> Any:
     """Return bytes as FMI 2.0 calls them."""
     return ctypes.cast(memory, ctypes.POINTER(ctypes.c_char))
@@ -96,6 +116,7 @@ def _characters(memory: Any) -> Any:
 class Fmi2Slave(_Fmi2, Slave):
     """An FMI 2.0 Co-Simulation instance."""
 
+    kind = fmpy.fmi2.fmi2CoSimulation
     functions_of_a_step = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
 
     def __init__(self, source: InstanceSource) -> None:
@@ -130,6 +151,7 @@ class Fmi2Model(_Fmi2, Model):
         Their numbers, from the model description.
     """
 
+    kind = fmpy.fmi2.fmi2ModelExchange
     functions = ModelFunctions(
         "fmi2SetTime",
         "fmi2GetContinuousStates",

@@ -148,7 +148,7 @@ class Instance(ABC):
         function: Any = self.function(name)
         if is_missing(function) or isinstance(function, TracedFunction):
             return 0
-        return ctypes.cast(function, ctypes.c_void_p).value or 0
+        return ctypes.c_void_p.from_buffer(function).value or 0
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call a function of this instance.

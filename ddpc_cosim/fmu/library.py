@@ -79,10 +79,6 @@ class _TolerantLoading:
 
     def _loadFunctions(self) -> None:  # noqa: N802 - FMPy's name
         fmu: Any = self
-        known = _kept.get(fmu.dll._name) if fmu.trace_calls is None else None
-        if known:
-            fmu._functions = known
-            return
         # FMI 1.0 wants a prefix; later versions know it from static linking only, and some leave it in.
         prefixes = [f"{fmu.modelIdentifier}_", f"{fmu.library_stem}_", ""]
         for name, (arguments, result) in _PROTOTYPES[type(self).__bases__[1]].items():
@@ -96,12 +92,24 @@ class _TolerantLoading:
                     names = _argument_names(type(self).__bases__[1], name)
                     function = TracedFunction(plain, names, function, fmu.trace_calls)
             fmu._functions[name] = function
-        if known is not None:
-            known |= fmu._functions
+
+    def another(self, name: str) -> Any:
+        """Return an object for another instance, which is called by a name, in the same library."""
+        other: Any = object.__new__(type(self))
+        vars(other).update(vars(self), instanceName=name)
+        other.users.append(name)
+        return other
+
+    def freeLibrary(self) -> None:  # noqa: N802 - FMPy's name
+        """Unload the library, unless there is another user of it."""
+        fmu: Any = self
+        fmu.users.remove(fmu.instanceName)
+        if not fmu.users:
+            fmpy.freeLibrary(fmu.dll._handle)
 
 
-_kept: dict[str, dict[str, Any]] = {}
-"""The functions of libraries that are kept loaded, by path, once they have been looked up."""
+_kept: dict[str, dict[Any, Any]] = {}
+"""FMPy's objects for libraries that are kept loaded, by path and class, once they have been loaded."""
 
 
 def _find(library: ctypes.CDLL, symbols: list[str]) -> Any:
@@ -183,8 +191,11 @@ def load_library(
         Whatever the loader says.
     """
     tolerant = _TOLERANT_CLASSES[major, kind]
+    kept = _kept.get(str(library)) if trace_calls is None else None
+    if kept and tolerant in kept:
+        return kept[tolerant].another(name)
     fmu = tolerant.__new__(tolerant)
-    fmu.library_stem, fmu.trace_calls = library.stem, trace_calls
+    fmu.library_stem, fmu.trace_calls, fmu.users = library.stem, trace_calls, [name]
     with _kept_working_directory(), LoadedCompanions(library, folder / "resources", given) as companions:
         while True:
             try:
@@ -195,22 +206,29 @@ def load_library(
                     instanceName=name,
                     libraryPath=str(library),
                 )
-                return fmu
+                break
             except Exception as error:  # FMPy's own, for whatever the loader says
                 if not companions.supply(error):
                     raise
+    if kept is None:
+        return fmu
+    kept[tolerant] = fmu
+    return fmu.another(name)
 
 
 @contextmanager
 def kept_loaded(library: Path) -> Iterator[None]:
-    """Keep a library loaded, which takes longer than an instance: what it has in static variables stays."""
-    held = ctypes.CDLL(str(library))
-    _kept[str(library)] = {}
+    """Keep a library loaded for all of its instances, each of which would take longer than it does itself.
+
+    It is loaded with the first of them. What it has in static variables stays.
+    """
+    kept = _kept[str(library)] = {}
     try:
         yield
     finally:
         del _kept[str(library)]
-        fmpy.freeLibrary(held._handle)
+        for fmu in kept.values():
+            fmu.freeLibrary()
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ddpc_cosim.description import PlantSignal, element
-from ddpc_cosim.fmu.buffers import Port, Shapes, layout
+from ddpc_cosim.fmu.buffers import Port, Shapes, block_layouts, layout
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.instance import Instance, Model, reference_array
 from ddpc_cosim.fmu.status import FATAL, CallError
@@ -124,7 +124,9 @@ class OperatingPoint:
         self, model: Model, inputs: Sequence[PlantSignal], outputs: Sequence[PlantSignal], shapes: Shapes
     ) -> None:
         self._model, self._n = model, model.sizes()[0]
-        self._inputs, self._outputs = Port(model, inputs, shapes), Port(model, outputs, shapes)
+        self._inputs, self._outputs = (
+            Port(model, block_layouts(signals, shapes)) for signals in (inputs, outputs)
+        )
         self._memory = (c_double * self._n)()
         model.get_states(self._memory, self._n)
         self.x_0, self.u_0 = np.array(self._memory), self._inputs.read()

@@ -147,7 +147,7 @@ class FMURun(ABC):
         self._ticks = Ticks(clocks, t0)
         self._write, self._read = inputs.write, outputs.read
         self._base_time, self._steps, self._step_size = t0, 0, 0.0
-        self._states: weakref.WeakSet[SavedState] = weakref.WeakSet()
+        self._states: weakref.WeakSet[SavedState] | None = None  # as for most runs, which save none
 
     @property
     def time(self) -> float:
@@ -196,6 +196,8 @@ class FMURun(ABC):
     def save_state(self) -> SavedState:
         """Return a copy of the state."""
         state = SavedState(self, self.instance.save_state(), self._bookkeeping())
+        if self._states is None:
+            self._states = weakref.WeakSet()
         self._states.add(state)
         return state
 
@@ -254,7 +256,7 @@ class FMURun(ABC):
 
     def end(self, *, abandoned: bool = False) -> None:
         """Free all saved states; of an abandoned instance, forget them without touching it."""
-        for state in list(self._states):
+        for state in list(self._states or ()):
             if abandoned:
                 state.free.detach()
             else:

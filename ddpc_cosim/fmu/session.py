@@ -21,7 +21,7 @@ from ddpc_cosim.files.durations import shown
 from ddpc_cosim.files.plain_data import from_bytes, to_bytes, understood
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
-from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
+from ddpc_cosim.fmu.buffers import BlockLayout, Port, Shapes, StartValues, block_layouts
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepInC, StepSizes
 from ddpc_cosim.fmu.companions import Companions, find_companions
 from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
@@ -224,6 +224,7 @@ class FMUSession:
         self._instance: Instance | None = None
         self._run: FMURun | None = None
         self._shapes: Shapes = {}
+        self._layouts: list[list[BlockLayout]] = []
         self._may_terminate = False
         self._time = 0.0
         self._end_error: CallError | None = None
@@ -260,9 +261,10 @@ class FMUSession:
         instance.initialize(t0, stop_time, fmu.tolerance, lambda: values.set_before_initialization(instance))
         instance.complete_initialization()
         self._may_terminate = True
-        self._shapes = values.shapes
-        inputs = Port(instance, fmu.inputs, values.shapes)
-        outputs = Port(instance, fmu.outputs, values.shapes)
+        if not self._layouts or values.shapes != self._shapes:
+            self._layouts = [block_layouts(signals, values.shapes) for signals in (fmu.inputs, fmu.outputs)]
+            self._shapes = values.shapes
+        inputs, outputs = (Port(instance, layouts) for layouts in self._layouts)
         inputs.fetch()
         self._run = _start_run(fmu, instance, inputs, outputs, values.shapes, t0)
         values.check_taken(instance)
@@ -492,8 +494,7 @@ def _make_instance(fmu: UnpackedFMU) -> Instance:
     """Load and instantiate an FMU; raises whatever the loader or the FMU says."""
     description, interface = fmu.description, fmu.interface
     key = (interface.model_identifier, description.guid)
-    other = _only_ones.get(key)
-    if interface.only_one_instance and other is not None and other.is_alive:
+    if interface.only_one_instance and (other := _only_ones.get(key)) is not None and other.is_alive:
         raise RuntimeError(
             "it allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one; "
             "close that, or give each a process of its own (isolated=True)"
@@ -538,7 +539,7 @@ def _start_run(
     needs_completed_step = fmu.interface.needs_completed_step or fmu.description.major == 1
     if fmu.is_driven:
         places = [i for i, signal in enumerate(fmu.inputs) if signal.source.variability != "discrete"]
-        continuous = Port(instance, [fmu.inputs[i] for i in places], shapes)
+        continuous = Port(instance, block_layouts([fmu.inputs[i] for i in places], shapes))
         continuous.fetch()
         return DrivenRun(
             instance, inputs, outputs, (continuous, places), t0, needs_completed_step=needs_completed_step

@@ -139,10 +139,9 @@ _FMI2_TEMPLATE = _callbacks(fmpy.fmi2, "fmi2")
 
 def fmi2_callbacks(log: Log) -> Any:
     """Return the callback structure of an FMI 2.0 instance; it must live as long as the instance."""
-    shared = _FMI2_TEMPLATE
-    return fmpy.fmi2.fmi2CallbackFunctions(
-        shared.logger, shared.allocateMemory, shared.freeMemory, shared.stepFinished, log.number
-    )
+    callbacks = fmpy.fmi2.fmi2CallbackFunctions.from_buffer_copy(_FMI2_TEMPLATE)
+    callbacks.componentEnvironment = log.number
+    return callbacks
 
 
 def fmi3_logger(log: Log) -> Any:

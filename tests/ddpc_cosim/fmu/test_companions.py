@@ -15,6 +15,7 @@ from fmus.builder import HERE, LAG, describe, platform_folder, write_fmu
 from ddpc_cosim import Outcome, Study, simulate
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.errors import ConfigError, FMUImportError
+from ddpc_cosim.fmu.library import kept_loaded
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.study.plants import PlantSpec
@@ -81,6 +82,26 @@ def test_they_are_unloaded_with_the_fmu(tmp_path: Path, chain: Chain) -> None:
     mapped = Path("/proc/self/maps").read_text(encoding="utf-8")
     assert FIRST not in mapped
     assert SECOND not in mapped
+
+
+def test_a_library_that_is_kept_loaded_is_unloaded_with_its_last_user(pendulum_fmu: Path) -> None:
+    def is_loaded() -> bool:
+        return str(plant.library) in Path("/proc/self/maps").read_text(encoding="utf-8")
+
+    with FMUPlant(pendulum_fmu) as plant:
+        with kept_loaded(plant.library):
+            for mass in (1.0, 2.0):
+                plant.reset({"mass": mass})
+            with FMUPlant(pendulum_fmu) as another:  # unpacked into a folder of its own
+                another.reset()
+            assert is_loaded()
+        assert plant.step(np.array([1.0]), 0.1).shape == (2,)
+    assert not is_loaded()
+    with FMUPlant(pendulum_fmu) as plant, kept_loaded(plant.library):
+        plant.reset()
+        plant.close()
+        assert is_loaded()
+    assert not is_loaded()
 
 
 def test_one_that_is_nowhere_is_named(tmp_path: Path, chain: Chain) -> None:

@@ -182,6 +182,8 @@ def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) 
         session.reset()
     with pytest.raises(ConfigError, match=r"k\[4\] is outside the array k of size \[2\]"):
         session.reset({"k[4]": 7.0})
+    session.reset({"n": 5})
+    assert session.step(np.array([1.5, 2.5]), 0.1).tolist() == [2.5, 0.0, 1.5]
     session.close()
 
 
