@@ -4,17 +4,17 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code, qp_memory
-from ddpc_controllers.optimisation.condensing import CondensedProblem
+from ddpc_controllers.optimisation.condensing import CondensedProblem, pivoted_qr
 from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
 from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
 _SAME = 1e-10  # weights of a terminal condition far above the others leave no more digits
 _ROUNDING = 1e-15
+_EPSILON = np.finfo(float).eps
 
 
 class LawInC(NamedTuple):
@@ -115,11 +115,9 @@ def _add(
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
     # A solution lies in the range of gain', of as few coordinates as there are independent bounds. The factor
     # is triangular, and what is rounding becomes zero: half of the gain, which takes no room in an archive.
-    directions, factor, order = scipy.linalg.qr(
-        (gain / size[:, np.newaxis]).T, mode="economic", pivoting=True
-    )
+    directions, factor, order = pivoted_qr((gain / size[:, np.newaxis]).T)
     diagonal = np.abs(np.diag(factor))
-    unknowns = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
+    unknowns = int(np.count_nonzero(diagonal > _EPSILON * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))
     rows[order] = factor[:unknowns].T
     rows = np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
@@ -153,15 +151,16 @@ def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     size[size == 0.0] = 1.0
     rows /= size
-    first, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
     # Products tell which pairs are worth looking at: those of unit rows that are opposite are -1.
-    products = np.triu(rows @ rows.T < _OPPOSITE - 1.0 + rows.shape[1] * np.finfo(float).eps, 1)
+    opposite = rows @ rows.T < _OPPOSITE - 1.0 + rows.shape[1] * _EPSILON
     zero = ~rows.any(axis=1)
-    products |= np.triu(np.outer(zero, zero), 1)
-    for i, other in np.argwhere(products).tolist():
-        is_new = first[i] < 0 and not (second[i] or second[other])
-        if is_new and np.abs(rows[other] + rows[i]).max() <= _OPPOSITE:
-            first[i] = other
-            second[other] = True
-    kept = np.flatnonzero(~second)
-    return kept, first[kept]
+    opposite |= np.logical_and.outer(zero, zero)
+    one, another = np.nonzero(opposite)
+    alike = (one < another) & (np.abs(rows[one] + rows[another]).max(axis=1, initial=0.0) <= _OPPOSITE)
+    others, second = dict[int, int](), set[int]()
+    for i, other in zip(one[alike].tolist(), another[alike].tolist(), strict=True):
+        if i not in others and not second & {i, other}:
+            others[i] = other
+            second.add(other)
+    kept = [i for i in range(len(rows)) if i not in second]
+    return np.array(kept, dtype=np.intp), np.array([others.get(i, -1) for i in kept], dtype=np.intp)
