@@ -218,7 +218,7 @@ class WindowLayout:
         samples = len(next(iter(signals.values())))
         columns = samples - self.depth + 1
         signals = {ONE: np.ones((samples, 1)), **signals}
-        stacked = np.vstack(
+        stacked = np.concatenate(
             [
                 hankel_matrix(signals[name][start : start + length + columns - 1], length)
                 for name, start, length in self.blocks

@@ -156,11 +156,11 @@ def fit_by_windows(
         split = known.shape[1]
         weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / data.shape[1])
         system = [
-            np.hstack([known / size, ahead]),
-            np.hstack([np.diag(weighed / size), np.zeros((split, future))]),
+            np.concatenate([known / size, ahead], axis=1),
+            np.concatenate([np.diag(weighed / size), np.zeros((split, future))], axis=1),
         ]
         # The triangular factor of the head has all that its least squares need, in a few rows.
-        factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
+        factor = np.asarray(np.linalg.qr(np.concatenate(system), mode="r"))
         triangular = factor[:split, :split]
         if scipy.linalg.lapack.dtrcon(triangular)[0] > _NO_DOUBT:
             solution = scipy.linalg.blas.dtrsm(1.0, triangular, factor[:split, split:])
@@ -283,13 +283,13 @@ def dead_times(recording: Recording, most: int) -> list[int]:
     past_y = y[now[:, np.newaxis] - before].reshape(rows, -1)
     past_u = u[now[:, np.newaxis] - before[::-1]].reshape(rows, -1)
     # The newest inputs last: the rows of the factor show what they explain beyond all else.
-    system = np.hstack([np.ones((rows, 1)), past_y, past_u, y[now]])
+    system = np.concatenate([np.ones((rows, 1)), past_y, past_u, y[now]], axis=1)
     factor = np.square(np.asarray(np.linalg.qr(system, mode="r"))[:, -p:])
     free = rows - (system.shape[1] - p)
     left = factor[-p:].sum(axis=0) / free
     newest = factor[-p - lags * m : -p][::-1].reshape(lags, m, p).sum(axis=1).cumsum(axis=0)
     number = m * np.arange(1, lags + 1)[:, np.newaxis]
-    chance = fdtrc(number, free, newest / number / np.maximum(left, np.finfo(float).tiny))
+    chance = fdtrc(number, free, newest / number / np.maximum(left, _TINY))
     shows = (chance < _SIGNIFICANT) & (newest > rows * _EXPLAINED**2)
     first: list[int] = np.where(shows.any(axis=0), shows.argmax(axis=0) + 1, lags + 1).tolist()
     return first

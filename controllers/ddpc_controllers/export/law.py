@@ -84,13 +84,13 @@ def _affine_laws(
     """Add the unconstrained optima; where bounds give way at a cost, that is as it was before."""
     names, before = list[str](), np.empty((0, 0))
     for problem, kept in zip(problems, upper, strict=True):
-        rows = np.vstack([problem.excess_law[kept], problem.move_law[:answers]])
+        rows = np.concatenate([problem.excess_law[kept], problem.move_law[:answers]])
         rounding = _SAME * np.abs(rows).max(axis=1, keepdims=True)
         if names and before.shape == rows.shape and (np.abs(rows - before) <= rounding).all():
             names.append(names[-1])
             continue
         before = rows
-        names.append(code.doubles(rows if names else np.vstack([rows, problem.conflict_law])))
+        names.append(code.doubles(rows if names else np.concatenate([rows, problem.conflict_law])))
     return names
 
 
@@ -116,11 +116,11 @@ def _add(
     # A solution lies in the range of gain', of as few coordinates as there are independent bounds. The factor
     # is triangular, and what is rounding becomes zero: half of the gain, which takes no room in an archive.
     directions, factor, order = pivoted_qr((gain / size[:, np.newaxis]).T)
-    diagonal = np.abs(np.diag(factor))
+    diagonal = np.abs(factor.diagonal())
     unknowns = int(np.count_nonzero(diagonal > _EPSILON * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))
     rows[order] = factor[:unknowns].T
-    rows = np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
+    rows = np.concatenate([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
     rows[np.abs(rows) <= _ROUNDING * np.linalg.norm(rows, axis=1, keepdims=True)] = 0.0
     tables = {
         "scale": 1.0 / size,
@@ -147,7 +147,7 @@ def _add(
 
 def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows that are not the other side of an earlier one, and their other sides, -1 for none."""
-    rows = np.hstack([problem.excess_law[:, :-1], problem.excess_gain])
+    rows = np.concatenate([problem.excess_law[:, :-1], problem.excess_gain], axis=1)
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     size[size == 0.0] = 1.0
     rows /= size

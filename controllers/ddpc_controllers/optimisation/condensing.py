@@ -100,7 +100,7 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
         new = block.T - known @ (known.T @ block.T)
         new -= known @ (known.T @ new)  # once more: twice is enough for orthogonality to rounding
         directions, factor, _ = pivoted_qr(new)
-        rank = int(np.count_nonzero(np.abs(np.diag(factor)) > significant))
+        rank = int(np.count_nonzero(np.abs(factor.diagonal()) > significant))
         known = np.hstack([known, directions[:, :rank]])
         ranks.append(rank)
     return basis @ known, ranks
@@ -109,7 +109,7 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
 def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
     """Return B with as many columns as M has independent rows, and what counted as significant."""
     _, factor, order = pivoted_qr(data.T, only_r=True)
-    diagonal = np.abs(np.diag(factor))
+    diagonal = np.abs(factor.diagonal())
     significant = float(np.finfo(float).eps * max(data.shape) * diagonal[0])
     rank = int(np.count_nonzero(diagonal > significant))
     basis = np.empty((len(data), rank))
@@ -131,7 +131,8 @@ def pivoted_qr(
     if not only_r:
         work = lapack.dorgqr(packed[:, :size], scalars, lwork=-1)[1]
         q = lapack.dorgqr(packed[:, :size], scalars, lwork=int(work[0]))[0]
-    return q, np.triu(packed[:size]), order - 1
+    above = np.arange(size)[:, np.newaxis] <= np.arange(matrix.shape[1])
+    return q, np.where(above, packed[:size], 0.0), order - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +269,7 @@ class ReducedProblem:
             return np.zeros((0, factor.shape[1])), np.zeros((0, 0)), factor
         factor, left = factor[:size], factor[size:, size:]
         triangular, projected = factor[:, :size], factor[:, size:]
-        diagonal = np.abs(np.diag(triangular))
+        diagonal = np.abs(triangular.diagonal())
         if len(triangular) < size or diagonal.min() <= _INSIGNIFICANT * diagonal.max():
             ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
             if not least and self.of_past.any():
@@ -358,8 +359,8 @@ def _excess(law: FloatArray, gain: FloatArray, limits: Limits) -> tuple[FloatArr
     above, below = np.isfinite(upper[:, -1]), np.isfinite(lower[:, -1])  # the last parameter is 1
     size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
     scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
-    law = np.vstack([law[above] - upper[above], lower[below] - law[below]])
-    return law / scale, np.vstack([gain[above], -gain[below]]) / scale
+    law = np.concatenate([law[above] - upper[above], lower[below] - law[below]])
+    return law / scale, np.concatenate([gain[above], -gain[below]]) / scale
 
 
 def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -380,12 +381,12 @@ def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, Fl
 
 def _tightest(law: FloatArray, gain: FloatArray) -> NDArray[np.intp]:
     """Of rows that bound the same quantity, keep the tightest; return the numbers of those kept."""
-    rows = np.hstack([law[:, :-1], gain])
+    rows = np.concatenate([law[:, :-1], gain], axis=1)
     size, number = np.linalg.norm(rows, axis=1), np.arange(len(rows))
     size[size == 0.0] = 1.0
     rows /= size[:, np.newaxis]
     same = rows @ rows.T > 1.0 - _SAME_DIRECTION
-    if np.count_nonzero(same) == np.trace(same):
+    if np.count_nonzero(same) == np.count_nonzero(same.diagonal()):
         return number
     limits = law[:, -1] / size
     # The terminal condition makes bounds equal but for rounding: the first of the tightest is kept. If each

@@ -405,7 +405,7 @@ class ParametricQP(_BoundedLaw):
         self._easier, self.problem = None, problem
         self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
-        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
+        self._law = np.concatenate([problem.excess_law, problem.move_law, cost_law])
         self._rest = len(self._law) - len(cost_law)
         if problem.paid:  # so many rows that they are left until they are asked for
             self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
