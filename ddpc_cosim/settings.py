@@ -451,7 +451,9 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
         raise ConfigError(
             f"{name} has shape {array.shape}; needed: a number, {size} numbers, or {size} x {size}"
         )
-    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < -1e-12 * np.abs(matrix).max():
+    symmetric = array.ndim < 2 or np.allclose(matrix, matrix.T)
+    least = array.min() if array.ndim < 2 else np.linalg.eigvalsh(matrix)[0]
+    if not (symmetric and least >= -1e-12 * np.abs(matrix).max()):
         raise ConfigError(f"{name} is not symmetric positive semidefinite: {matrix.tolist()}")
     return matrix
 

@@ -1,9 +1,11 @@
 """Windows of signals over time: Hankel matrices, persistency of excitation, and when a prediction is good."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+import scipy  # whose parts are imported when they are first used
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import DataError
@@ -11,6 +13,8 @@ from ddpc_cosim.variables import FloatArray
 
 RANK_TOLERANCE = 1e-10
 """A singular value below this fraction of the largest counts as zero."""
+
+_SURELY_REGULAR = 1e-10
 
 GOOD, FAIR = 0.2, 0.5
 """Errors up to which a prediction is good, and fair, in parts of the output's standard deviation."""
@@ -47,8 +51,7 @@ def window_starts(samples: int, depth: int, seams: Sequence[int] = ()) -> NDArra
 
 def count_windows(samples: int, depth: int, seams: Sequence[int] = ()) -> int:
     """Return how many windows of a depth a recording has; parameters as in :func:`window_starts`."""
-    lengths = np.diff((0, *seams, samples))
-    return int(np.maximum(lengths - depth + 1, 0).sum())
+    return sum(max(end - start - depth + 1, 0) for start, end in pairwise((0, *seams, samples)))
 
 
 def hankel_matrix(w: FloatArray, depth: int, seams: Sequence[int] = ()) -> FloatArray:
@@ -78,8 +81,9 @@ def hankel_matrix(w: FloatArray, depth: int, seams: Sequence[int] = ()) -> Float
         raise DataError(
             f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}"
         )
-    windows = sliding_window_view(w, depth, axis=0)  # (T - depth + 1, d, depth)
-    matrix = windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
+    columns, (later, beside) = length - depth + 1, w.strides
+    windows = as_strided(w, (depth, width, columns), (later, beside, later), writeable=False)
+    matrix = windows.reshape(depth * width, columns)
     return matrix[:, window_starts(length, depth, seams)] if seams else matrix
 
 
@@ -151,10 +155,20 @@ def _last_full_rank_depth(u: FloatArray, highest: int, seams: Sequence[int]) -> 
     full, lacking = 0, highest + 1
     depth = highest
     while lacking - full > 1:
-        matrix = hankel_matrix(u, depth, seams)
-        if numerical_rank(matrix) == matrix.shape[0]:
+        if _has_full_row_rank(hankel_matrix(u, depth, seams)):
             full = depth
         else:
             lacking = depth
         depth = (full + lacking) // 2
     return full
+
+
+def _has_full_row_rank(matrix: FloatArray) -> bool:
+    """Return whether :func:`numerical_rank` is the number of rows; singular values only tell close cases."""
+    gram = matrix @ matrix.T
+    size = np.abs(gram).sum(axis=0).max()
+    factor, fails = scipy.linalg.lapack.dpotrf(gram.T, overwrite_a=True)
+    # It has the square of the condition: where this is not small the matrix is far off the tolerance.
+    if not fails and scipy.linalg.lapack.dpocon(factor, size)[0] > _SURELY_REGULAR:
+        return True
+    return numerical_rank(matrix) == len(matrix)

@@ -269,7 +269,7 @@ class BehavioralTracking(OnlinePromise, Foresight, ScaledSignals):
         rest = np.zeros(self._planned[1] + law.memory)
         parameters, sizes = self._parameters.array, self._parameters.sizes
         limited = np.zeros(2 * steps * self._inputs * outlook.moves_inputs)
-        memory = code.memory([*parameters, *limited, self._resting, 0.0, *forecast, *rest])
+        memory = code.memory(np.concatenate([parameters, limited, [self._resting, 0.0], forecast, rest]))
         look = outlook.in_c(code, f"{memory} + {sizes['u_ini'] + sizes['y_ini'] + sizes['r']}", steps)
         return code.step(f"{look}step_window(&{window}, {memory}, sample, u, told);")
 

@@ -248,7 +248,8 @@ class SafetyFilter(Promise, SingleWrapper):
             law=law.pointer,
             **outlook.members(code, self._limits),
         )
-        parameters = code.memory([*self._parameters.array, *np.zeros(2 * m * outlook.moves_inputs)])
+        limited = np.zeros(2 * m * outlook.moves_inputs)
+        parameters = code.memory(np.concatenate([self._parameters.array, limited]))
         rest = [self._resting], [0.0], np.zeros(m), self._forecast, np.zeros(m + p), np.zeros(law.memory)
         held = code.held("SafetyFilterMemory", parameters, *rest)
 

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -70,7 +71,7 @@ class Scales:
         self.u, self.y, self.measured, self.d = scales = _scales_of(loop, by)
         self._by = by
         self._variables = loop.inputs, loop.outputs
-        self._trivial = all(bool(np.all(scale == 1.0)) for scale in scales)
+        self._trivial = all(bool((scale == 1.0).all()) for scale in scales)
         self._limits_move = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._further = self._fields_of(loop, ahead)
@@ -257,18 +258,17 @@ def _sizes(
     variables: tuple[Variable, ...], low: FloatArray, high: FloatArray, by: ScaleBy, faults: list[str]
 ) -> FloatArray:
     """Return the scale of each variable; add those that cannot be scaled to the faults."""
-    nominal = np.array([abs(variable.nominal) for variable in variables])
-    half = np.full(len(variables), np.inf)
-    np.subtract(high / 2, low / 2, out=half, where=np.isfinite(low) & np.isfinite(high))
-    use_range = (by == "range") & np.isfinite(half) & (half > 0.0)
-    scales: FloatArray = np.where(use_range, half, nominal)
-    for variable, scale in zip(variables, scales, strict=True):
-        if not (np.isfinite(scale) and scale > 0.0):
+    scales = list[float]()
+    for variable, least, most in zip(variables, low.tolist(), high.tolist(), strict=True):
+        half = most / 2 - least / 2
+        scale = half if by == "range" and 0.0 < half < inf else abs(variable.nominal)
+        scales.append(scale)
+        if not 0.0 < scale < inf:
             faults.append(
                 f'"{variable.name}" cannot be scaled: its nominal value is {variable.nominal:g}; give it one '
                 "above 0, or bounds and scale by range"
             )
-    return scales
+    return np.array(scales)
 
 
 def _scaled(variables: tuple[Variable, ...], scales: FloatArray) -> tuple[Variable, ...]:
@@ -364,7 +364,7 @@ class Predicted:
     def _leave_out_what_stood_still(self, loop: Loop) -> None:
         """Leave disturbances out that never moved in the recording."""
         recording = loop.recording
-        if recording is None or recording.d.shape[1] != len(loop.disturbances):
+        if recording is None or not loop.disturbances or recording.d.shape[1] != len(loop.disturbances):
             return
         still = stands_still(recording.d)
         self._kept = np.flatnonzero(~still).tolist()

@@ -259,7 +259,7 @@ class WKPC(OnlineSettings, OnlinePromise, Foresight, ScaledSignals):
         )
         limited = np.zeros(2 * m * outlook.moves_inputs)
         parameters, first = (
-            code.memory([*self._parameters.array, *limited]),
+            code.memory(np.concatenate([self._parameters.array, limited])),
             np.cumsum([0, *self._parameters.sizes.values()]),
         )
         look = outlook.in_c(code, f"{parameters} + {first[4]}", 1)

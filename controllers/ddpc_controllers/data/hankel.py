@@ -218,7 +218,7 @@ class WindowLayout:
         samples = len(next(iter(signals.values())))
         columns = samples - self.depth + 1
         signals = {ONE: np.ones((samples, 1)), **signals}
-        stacked = np.vstack(
+        stacked = np.concatenate(
             [
                 hankel_matrix(signals[name][start : start + length + columns - 1], length)
                 for name, start, length in self.blocks
@@ -228,9 +228,11 @@ class WindowLayout:
 
     def rows_of(self, signal: str, widths: Mapping[str, int]) -> NDArray[np.intp]:
         """Return which rows of M hold a signal, given the width of each."""
-        heights = [length * {ONE: 1, **widths}[name] for name, _, length in self.blocks]
-        names = np.repeat([name for name, _, _ in self.blocks], heights)
-        return np.flatnonzero(names == signal)
+        rows, end, widths = list[int](), 0, {ONE: 1, **widths}
+        for name, _, length in self.blocks:
+            start, end = end, end + length * widths[name]
+            rows += range(start, end) if name == signal else ()
+        return np.array(rows, dtype=np.intp)
 
 
 def informative_windows(
@@ -260,7 +262,8 @@ def informative_windows(
     require_length(len(moved), order, moved.shape[1], who, recording.seams, disturbances)
     data = layout.stack(signals_of(recording), recording.seams)
     widths = {name: values.shape[1] for name, values in signals_of(recording).items()}
-    windows = np.delete(data, layout.rows_of(ONE, widths), axis=0)
+    sums = layout.rows_of(ONE, widths)
+    windows = np.delete(data, sums, axis=0) if sums.size else data
     diagnostics = diagnose(windows, moved, order, recording.seams)
     why = f"depth {depth} + assumed order {order - depth}"
     require_excitation(diagnostics, why, who, disturbances)
@@ -331,7 +334,7 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         raise DataError(
             f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
-    if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
+    if abs(recording.sampling_time - loop.sampling_time) > 1e-8 + 1e-9 * loop.sampling_time:
         raise DataError(
             f"{who}: the recording was sampled every {recording.sampling_time:g} s, the loop runs every "
             f"{loop.sampling_time:g} s: record at the loop's sampling time"
@@ -371,7 +374,7 @@ def samples_before(loop: Loop, length: int) -> Recording | None:
 def resting_input(loop: Loop) -> FloatArray:
     """Return the inputs before the first sample of a loop that starts from rest, shape (m,)."""
     start = np.array([variable.start for variable in loop.inputs])
-    return np.asarray(np.clip(start, loop.bounds.u_min, loop.bounds.u_max))
+    return np.asarray(np.minimum(np.maximum(start, loop.bounds.u_min), loop.bounds.u_max))
 
 
 class StateWindow:

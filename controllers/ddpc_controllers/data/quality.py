@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
@@ -21,6 +22,7 @@ _SIGNIFICANT = 1e-4
 # Of a standardised signal: what explains less is rounding.
 _EXPLAINED = 1e-6
 _RANK = 1e-9
+_NO_DOUBT = 1e-4  # that the rank is full
 # Of a signal's mean, or of its unit: what moves by less is constant but for rounding.
 _NEGLIGIBLE = 1e-10
 _TINY = np.finfo(float).tiny
@@ -154,12 +156,16 @@ def fit_by_windows(
         split = known.shape[1]
         weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / data.shape[1])
         system = [
-            np.hstack([known / size, ahead]),
-            np.hstack([np.diag(weighed / size), np.zeros((split, future))]),
+            np.concatenate([known / size, ahead], axis=1),
+            np.concatenate([np.diag(weighed / size), np.zeros((split, future))], axis=1),
         ]
         # The triangular factor of the head has all that its least squares need, in a few rows.
-        factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
-        solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
+        factor = np.asarray(np.linalg.qr(np.concatenate(system), mode="r"))
+        triangular = factor[:split, :split]
+        if scipy.linalg.lapack.dtrcon(triangular)[0] > _NO_DOUBT:
+            solution = scipy.linalg.blas.dtrsm(1.0, triangular, factor[:split, split:])
+        else:
+            solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
         return np.asarray(solution.T / size)
 
     return fit_by_predictor(fit, data, future, outputs, depth)
@@ -273,16 +279,17 @@ def dead_times(recording: Recording, most: int) -> list[int]:
         return [1] * p
     y, u = standardised(recording.y)[0], standardised(recording.u)[0]
     now = window_starts(samples, lags + 1, seams) + lags
-    past_y = [y[now - i] for i in range(1, lags + 1)]
-    past_u = [u[now - i] for i in range(lags, 0, -1)]
+    rows, before = len(now), np.arange(1, lags + 1)
+    past_y = y[now[:, np.newaxis] - before].reshape(rows, -1)
+    past_u = u[now[:, np.newaxis] - before[::-1]].reshape(rows, -1)
     # The newest inputs last: the rows of the factor show what they explain beyond all else.
-    rows, system = len(now), np.hstack([np.ones((len(now), 1)), *past_y, *past_u, y[now]])
+    system = np.concatenate([np.ones((rows, 1)), past_y, past_u, y[now]], axis=1)
     factor = np.square(np.asarray(np.linalg.qr(system, mode="r"))[:, -p:])
     free = rows - (system.shape[1] - p)
     left = factor[-p:].sum(axis=0) / free
     newest = factor[-p - lags * m : -p][::-1].reshape(lags, m, p).sum(axis=1).cumsum(axis=0)
     number = m * np.arange(1, lags + 1)[:, np.newaxis]
-    chance = fdtrc(number, free, newest / number / np.maximum(left, np.finfo(float).tiny))
+    chance = fdtrc(number, free, newest / number / np.maximum(left, _TINY))
     shows = (chance < _SIGNIFICANT) & (newest > rows * _EXPLAINED**2)
     first: list[int] = np.where(shows.any(axis=0), shows.argmax(axis=0) + 1, lags + 1).tolist()
     return first
@@ -293,19 +300,21 @@ def standardised(signals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
     The deviation is the standard deviation, and 1 of a signal that is constant but for rounding.
     """
-    means, deviations = signals.mean(axis=0), _deviations(signals)
+    means, deviations, still = _moments(signals)
+    deviations = np.where(still, 1.0, deviations)
     return (signals - means) / deviations, means, deviations
 
 
 def stands_still(signals: FloatArray) -> NDArray[np.bool_]:
     """Return which signals, time along axis 0, are constant but for rounding, shape (width,)."""
-    means = np.maximum(np.abs(signals.mean(axis=0)), 1.0)
-    return np.asarray(np.maximum(signals.std(axis=0), np.finfo(float).tiny) < _NEGLIGIBLE * means)
+    return _moments(signals)[2]
 
 
-def _deviations(signals: FloatArray) -> FloatArray:
-    size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
-    return np.asarray(np.where(stands_still(signals), 1.0, size))
+def _moments(signals: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Return means and standard deviations, none of which is zero, and which signals stand still."""
+    means = signals.mean(axis=0)
+    deviations = np.maximum(np.sqrt(np.square(signals - means).mean(axis=0)), _TINY)
+    return means, deviations, deviations < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)
 
 
 def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Sequence[Span]) -> list[str]:
@@ -326,7 +335,7 @@ def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Seque
 
 def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTest:
     """Return errors, shape (windows, n, p), in parts of the standard deviations of the outputs."""
-    size = _deviations(y)
+    size = standardised(y)[2]
     errors, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
     worst = int(np.argmax(errors[-1]))
     return PredictionTest(float(errors[-1, worst]), float(fitted[-1, worst]), errors, tail)

@@ -229,9 +229,8 @@ class Structure(NamedTuple):
 
     def declared(self) -> str:
         """Return it with its numbers yet to be filled in."""
-        if not self.numbers.size:
-            return self.written()
-        return f"static {self._with({k: v for k, v in self.members.items() if not isinstance(v, float)})}"
+        others = {name: value for name, value in self.members.items() if not isinstance(value, float)}
+        return f"static {self._with(others)}" if len(others) < len(self.members) else self.written()
 
     def loading(self) -> list[str]:
         """Return statements that fill its numbers in from ``numbers``."""
@@ -484,11 +483,10 @@ class Code:
             ]
         self.kernel("sample")
         numeric = [part for part in self.parts if not isinstance(part, str)]
-        constants = _DOUBLE * sum(part.numbers.size for part in numeric)
-        footprint = Footprint(constants, _DOUBLE * len(self.start) + _COUNTS)
-        loaded = numeric if apart else []
+        numbers = np.concatenate([np.empty(0), *(part.numbers for part in numeric)])
+        footprint = Footprint(_DOUBLE * numbers.size, _DOUBLE * len(self.start) + _COUNTS)
         if apart:
-            functions[_LOAD] = [line for part in loaded for line in part.loading()]
+            functions[_LOAD] = [line for part in numeric for line in part.loading()]
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
         parts = [
             "\n".join(f'#include "{name}"' for name in includes)
@@ -523,7 +521,7 @@ class Code:
             },
             STATUSES,
             self.follows,
-            np.concatenate([np.empty(0), *(part.numbers for part in loaded)]),
+            numbers if apart else np.empty(0),
             footprint,
         )
 

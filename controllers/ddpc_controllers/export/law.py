@@ -4,17 +4,17 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code, qp_memory
-from ddpc_controllers.optimisation.condensing import CondensedProblem
+from ddpc_controllers.optimisation.condensing import CondensedProblem, pivoted_qr
 from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
 from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
 _SAME = 1e-10  # weights of a terminal condition far above the others leave no more digits
 _ROUNDING = 1e-15
+_EPSILON = np.finfo(float).eps
 
 
 class LawInC(NamedTuple):
@@ -84,13 +84,13 @@ def _affine_laws(
     """Add the unconstrained optima; where bounds give way at a cost, that is as it was before."""
     names, before = list[str](), np.empty((0, 0))
     for problem, kept in zip(problems, upper, strict=True):
-        rows = np.vstack([problem.excess_law[kept], problem.move_law[:answers]])
+        rows = np.concatenate([problem.excess_law[kept], problem.move_law[:answers]])
         rounding = _SAME * np.abs(rows).max(axis=1, keepdims=True)
         if names and before.shape == rows.shape and (np.abs(rows - before) <= rounding).all():
             names.append(names[-1])
             continue
         before = rows
-        names.append(code.doubles(rows if names else np.vstack([rows, problem.conflict_law])))
+        names.append(code.doubles(rows if names else np.concatenate([rows, problem.conflict_law])))
     return names
 
 
@@ -115,14 +115,12 @@ def _add(
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
     # A solution lies in the range of gain', of as few coordinates as there are independent bounds. The factor
     # is triangular, and what is rounding becomes zero: half of the gain, which takes no room in an archive.
-    directions, factor, order = scipy.linalg.qr(
-        (gain / size[:, np.newaxis]).T, mode="economic", pivoting=True
-    )
-    diagonal = np.abs(np.diag(factor))
-    unknowns = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
+    directions, factor, order = pivoted_qr((gain / size[:, np.newaxis]).T)
+    diagonal = np.abs(factor.diagonal())
+    unknowns = int(np.count_nonzero(diagonal > _EPSILON * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))
     rows[order] = factor[:unknowns].T
-    rows = np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
+    rows = np.concatenate([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
     rows[np.abs(rows) <= _ROUNDING * np.linalg.norm(rows, axis=1, keepdims=True)] = 0.0
     tables = {
         "scale": 1.0 / size,
@@ -149,19 +147,20 @@ def _add(
 
 def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows that are not the other side of an earlier one, and their other sides, -1 for none."""
-    rows = np.hstack([problem.excess_law[:, :-1], problem.excess_gain])
+    rows = np.concatenate([problem.excess_law[:, :-1], problem.excess_gain], axis=1)
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     size[size == 0.0] = 1.0
     rows /= size
-    first, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
     # Products tell which pairs are worth looking at: those of unit rows that are opposite are -1.
-    products = np.triu(rows @ rows.T < _OPPOSITE - 1.0 + rows.shape[1] * np.finfo(float).eps, 1)
+    opposite = rows @ rows.T < _OPPOSITE - 1.0 + rows.shape[1] * _EPSILON
     zero = ~rows.any(axis=1)
-    products |= np.triu(np.outer(zero, zero), 1)
-    for i, other in np.argwhere(products).tolist():
-        is_new = first[i] < 0 and not (second[i] or second[other])
-        if is_new and np.abs(rows[other] + rows[i]).max() <= _OPPOSITE:
-            first[i] = other
-            second[other] = True
-    kept = np.flatnonzero(~second)
-    return kept, first[kept]
+    opposite |= np.logical_and.outer(zero, zero)
+    one, another = np.nonzero(opposite)
+    alike = (one < another) & (np.abs(rows[one] + rows[another]).max(axis=1, initial=0.0) <= _OPPOSITE)
+    others, second = dict[int, int](), set[int]()
+    for i, other in zip(one[alike].tolist(), another[alike].tolist(), strict=True):
+        if i not in others and not second & {i, other}:
+            others[i] = other
+            second.add(other)
+    kept = [i for i in range(len(rows)) if i not in second]
+    return np.array(kept, dtype=np.intp), np.array([others.get(i, -1) for i in kept], dtype=np.intp)

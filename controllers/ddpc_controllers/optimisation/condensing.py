@@ -99,8 +99,8 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
     for block in np.split(rows, np.cumsum(sizes)[:-1]):
         new = block.T - known @ (known.T @ block.T)
         new -= known @ (known.T @ new)  # once more: twice is enough for orthogonality to rounding
-        directions, factor, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
-        rank = int(np.count_nonzero(np.abs(np.diag(factor)) > significant))
+        directions, factor, _ = pivoted_qr(new)
+        rank = int(np.count_nonzero(np.abs(factor.diagonal()) > significant))
         known = np.hstack([known, directions[:, :rank]])
         ranks.append(rank)
     return basis @ known, ranks
@@ -108,13 +108,31 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
 
 def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
     """Return B with as many columns as M has independent rows, and what counted as significant."""
-    factor, order = scipy.linalg.qr(data.T, mode="r", pivoting=True, check_finite=False)
-    diagonal = np.abs(np.diag(factor))
+    _, factor, order = pivoted_qr(data.T, only_r=True)
+    diagonal = np.abs(factor.diagonal())
     significant = float(np.finfo(float).eps * max(data.shape) * diagonal[0])
     rank = int(np.count_nonzero(diagonal > significant))
     basis = np.empty((len(data), rank))
     basis[order] = factor[:rank].T
     return basis, significant
+
+
+def pivoted_qr(
+    matrix: FloatArray, *, only_r: bool = False
+) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+    """Return Q, R and the order of columns in which they factorise a matrix, economically; Q may be left.
+
+    As scipy.linalg.qr does, which for small matrices takes twice as long as LAPACK.
+    """
+    lapack, size = scipy.linalg.lapack, min(matrix.shape)
+    work = lapack.dgeqp3(matrix, lwork=-1)[3]
+    packed, order, scalars, _, _ = lapack.dgeqp3(matrix, lwork=int(work[0]))
+    q = np.empty((len(matrix), 0))
+    if not only_r:
+        work = lapack.dorgqr(packed[:, :size], scalars, lwork=-1)[1]
+        q = lapack.dorgqr(packed[:, :size], scalars, lwork=int(work[0]))[0]
+    above = np.arange(size)[:, np.newaxis] <= np.arange(matrix.shape[1])
+    return q, np.where(above, packed[:size], 0.0), order - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,21 +259,17 @@ class ReducedProblem:
         """
         roots = [np.sqrt(cost.weights)[:, np.newaxis] for cost in self.g_costs]
         roots[0][self.of_past] = np.maximum(roots[0][self.of_past], least)
-        residual = np.vstack(
-            [self.residual, *(root * v.gain for root, v in zip(roots, self.g_costs, strict=True))]
-        )
-        offset = np.vstack(
-            [self.offset, *(root * v.law for root, v in zip(roots, self.g_costs, strict=True))]
-        )
-        size = residual.shape[1]
-        if size == 0:
-            left = np.asarray(np.linalg.qr(offset, mode="r"))
-            return np.zeros((0, offset.shape[1])), np.zeros((0, 0)), left
+        size = self.residual.shape[1]
         # Factorised side by side: R and Q' offset, without Q.
-        factor = np.asarray(np.linalg.qr(np.hstack([residual, offset]), mode="r"))
+        terms = [np.concatenate([self.residual, self.offset], axis=1)]
+        for root, v in zip(roots, self.g_costs, strict=True):
+            terms.append(root * np.concatenate([v.gain, v.law], axis=1))
+        factor = np.asarray(np.linalg.qr(np.concatenate(terms), mode="r"))
+        if size == 0:
+            return np.zeros((0, factor.shape[1])), np.zeros((0, 0)), factor
         factor, left = factor[:size], factor[size:, size:]
         triangular, projected = factor[:, :size], factor[:, size:]
-        diagonal = np.abs(np.diag(triangular))
+        diagonal = np.abs(triangular.diagonal())
         if len(triangular) < size or diagonal.min() <= _INSIGNIFICANT * diagonal.max():
             ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
             if not least and self.of_past.any():
@@ -296,43 +310,44 @@ def condense(problem: Problem, data: FloatArray) -> CondensedProblem:
 def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
     """Eliminate the equalities in the coordinates of a factor of the data."""
     basis, rows = factor.basis, problem.row_count
-
-    def in_z(matrix: FloatArray) -> FloatArray:
-        """Rewrite rows over (h, other variables) as rows over z = (v, other variables)."""
-        return np.hstack([matrix[:, :rows] @ basis, matrix[:, rows:]])
-
-    (residual, target), (equality, equality_target) = problem.cost, problem.equality
+    (cost, target), (equality, equality_target) = problem.cost, problem.equality
     limits, prices = problem.bounded, np.flatnonzero(problem.paid.any(axis=1))
-    particular, null_space, conflict = _eliminate(in_z(equality), equality_target)
-    residual, bounded, move = in_z(residual), in_z(limits.rows), in_z(problem.wanted)
-    amounts = in_z(problem.paid[prices])
+    # From rows over (h, other variables) to rows over z = (v, other variables).
+    of_z = [
+        np.concatenate([part[:, :rows] @ basis, part[:, rows:]], axis=1)
+        for part in (equality, cost, limits.rows, problem.wanted, problem.paid[prices])
+    ]
+    particular, null_space, conflict = _eliminate(of_z[0], equality_target)
+    (offset, residual), (law, gain), (move_law, move_gain), (amount_law, amount_gain) = (
+        (part @ particular, part @ null_space) for part in of_z[1:]
+    )
     rank = basis.shape[1]
     g_costs = [Coordinates(null_space[:rank], particular[:rank], factor.weights)]
-    of_x, of_p = problem.origin
-    if of_x.any() or of_p.any():  # v_s = B^+ h_s is the smallest combination that has the rows h_s
-        drawn_to = np.linalg.lstsq(basis, np.hstack([of_x[:, rows:], of_p]))[0]
-        others, constant = np.split(drawn_to, [of_x.shape[1] - rows], axis=1)
-        gain, drawn = others @ null_space[rank:], others @ particular[rank:] + constant
+    drawn_to_x, drawn_to_p = problem.origin
+    if drawn_to_x.any() or drawn_to_p.any():  # v_s = B^+ h_s is the smallest combination with the rows h_s
+        drawn_to = np.linalg.lstsq(basis, np.hstack([drawn_to_x[:, rows:], drawn_to_p]))[0]
+        others, constant = np.split(drawn_to, [drawn_to_x.shape[1] - rows], axis=1)
+        about, drawn = others @ null_space[rank:], others @ particular[rank:] + constant
         g_costs = [
-            Coordinates(g_costs[0].gain - gain, g_costs[0].law - drawn, factor.weights),
-            Coordinates(gain, drawn, np.array(problem.origin_weights)[factor.blocks]),
+            Coordinates(g_costs[0].gain - about, g_costs[0].law - drawn, factor.weights),
+            Coordinates(about, drawn, np.array(problem.origin_weights)[factor.blocks]),
         ]
     given = rows - problem.rows["u"] - problem.rows["y"]
-    law, gain = _excess(bounded @ particular, bounded @ null_space, limits)
+    law, gain = _excess(law, gain, limits)
     kept, labels = _tightest(law, gain), problem.labels
     return ReducedProblem(
-        residual=residual @ null_space,
-        offset=residual @ particular - target,
+        residual=residual,
+        offset=offset - target,
         g_costs=tuple(g_costs),
         excess_law=law[kept],
         excess_gain=gain[kept],
-        move_law=move @ particular,
-        move_gain=move @ null_space,
+        move_law=move_law,
+        move_gain=move_gain,
         conflict_law=conflict,
         labels=tuple(labels[i] for i in kept.tolist()),
         prices=np.eye(particular.shape[1])[prices],
-        amount_gain=amounts @ null_space,
-        amount_law=amounts @ particular,
+        amount_gain=amount_gain,
+        amount_law=amount_law,
         advice=problem.advice,
         of_past=(factor.blocks == 0) & (factor.weights == 0.0) & (problem.weights[0][0] == given),
     )
@@ -344,8 +359,8 @@ def _excess(law: FloatArray, gain: FloatArray, limits: Limits) -> tuple[FloatArr
     above, below = np.isfinite(upper[:, -1]), np.isfinite(lower[:, -1])  # the last parameter is 1
     size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
     scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
-    law = np.vstack([law[above] - upper[above], lower[below] - law[below]])
-    return law / scale, np.vstack([gain[above], -gain[below]]) / scale
+    law = np.concatenate([law[above] - upper[above], lower[below] - law[below]])
+    return law / scale, np.concatenate([gain[above], -gain[below]]) / scale
 
 
 def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -366,15 +381,17 @@ def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, Fl
 
 def _tightest(law: FloatArray, gain: FloatArray) -> NDArray[np.intp]:
     """Of rows that bound the same quantity, keep the tightest; return the numbers of those kept."""
-    rows = np.hstack([law[:, :-1], gain])
-    size = np.linalg.norm(rows, axis=1)
+    rows = np.concatenate([law[:, :-1], gain], axis=1)
+    size, number = np.linalg.norm(rows, axis=1), np.arange(len(rows))
     size[size == 0.0] = 1.0
     rows /= size[:, np.newaxis]
     same = rows @ rows.T > 1.0 - _SAME_DIRECTION
+    if np.count_nonzero(same) == np.count_nonzero(same.diagonal()):
+        return number
     limits = law[:, -1] / size
     # The terminal condition makes bounds equal but for rounding: the first of the tightest is kept. If each
     # were compared with each, all of them could have one that is tighter, or as tight and earlier.
     tightest = np.where(same, limits, -np.inf).max(axis=1, initial=-np.inf)
     as_tight = limits >= tightest - _SAME_DIRECTION * np.abs(tightest)
-    earlier = np.tri(len(rows), k=-1, dtype=bool)
+    earlier = number < number[:, np.newaxis]
     return np.flatnonzero(as_tight & ~np.any(same & as_tight & earlier, axis=1)).astype(np.intp)

@@ -91,7 +91,7 @@ class InputLimits:
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
         self.near = _AT_LIMIT * span
         self._near = self.near.tolist() * steps
-        self.move(np.tile(np.stack([u_min, u_max], axis=1), (steps, 1, 1)))
+        self.move(np.array([[u_min, u_max]] * steps).transpose(0, 2, 1))
 
     def move(self, limits: FloatArray) -> None:
         """Take new limits, shape (steps, m, 2) or more of them, from this sample on."""

@@ -17,7 +17,8 @@ mean at once, what hardly changes stays.
 """
 
 from dataclasses import dataclass
-from math import isfinite
+from itertools import accumulate
+from math import isfinite, prod
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -198,7 +199,7 @@ class Outlook:
         bounds, self.horizon = loop.bounds, horizon
         self.controlled = len(outputs) if controlled is None else controlled
         self._past, self._first = past, first
-        in_band = np.isin(outputs[: self.controlled], loop.bands)
+        in_band = np.array([name in loop.bands for name in outputs[: self.controlled]], dtype=bool)
         self.followed, self.bands = np.flatnonzero(~in_band), np.flatnonzero(in_band)
         self._u = _Sides(inputs, loop.moving_limits, bounds.u_min, bounds.u_max)
         self._y = _Sides(outputs, loop.moving_limits, bounds.y_min, bounds.y_max)
@@ -302,10 +303,10 @@ class Outlook:
             PRICE: {"price": (n + 1, len(loop.charges))},
         }
         fields = {field: shape for name in self.windows for field, shape in shapes[name].items()}
-        ends = np.cumsum([int(np.prod(shape)) for shape in fields.values()])
+        ends = accumulate(map(prod, fields.values()))
         at = {
-            field: end - int(np.prod(shape)) + np.arange(int(np.prod(shape))).reshape(shape)
-            for end, (field, shape) in zip(ends.tolist(), fields.items(), strict=True)
+            field: np.arange(end - prod(shape), end).reshape(shape)
+            for end, (field, shape) in zip(ends, fields.items(), strict=True)
         }
         of_u, of_y, of_d = units or (np.ones(m), np.ones(p), np.ones(n_d))
         later = slice(1, n + 1) if self._first else slice(n)

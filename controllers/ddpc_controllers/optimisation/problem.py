@@ -1,6 +1,7 @@
 """Quadratic problems written down in named variables as the papers print them, and their parameters."""
 
 from collections.abc import Iterator, Mapping
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -130,9 +131,11 @@ class Problem:
 
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
         """Add ``|sum variables - sum target|^2`` to the cost, each sample weighted by ``weight``."""
-        left, right = self._assembled(variables, target)
-        root = np.kron(np.eye(len(left) // len(weight)), _square_root(weight))
-        self._costs.append((root @ left, root @ right))
+        root, sides = _square_root(weight), self._assembled(variables, target)
+        # Sample by sample: the product with a matrix of all samples would be zeros for the most part.
+        of_samples = (side.reshape(-1, len(root), side.shape[1]) for side in sides)
+        left, right = (root @ samples for samples in of_samples)
+        self._costs.append((left.reshape(sides[0].shape), right.reshape(sides[1].shape)))
 
     def charge(self, prices: str, variable: str, amounts: FloatArray) -> None:
         """Add ``prices' amounts variable`` to the cost: parameters that are prices of amounts.
@@ -168,13 +171,11 @@ class Problem:
             blocks[other] = blocks.get(other, 0.0) - block
         bounded, _ = self._assembled(blocks, {})
         samples = len(bounded) // len(lower)
-        outermost = np.tile(lower, samples), np.tile(upper, samples)
+        outermost = [np.concatenate([limits] * samples) for limits in (lower, upper)]
         sides = list[FloatArray]()
         for limit, blocks_of_p in zip(outermost, moving or ({}, {}), strict=True):
             _, side = self._assembled({variable: blocks[variable]}, blocks_of_p)
-            if moving is None:
-                side[:, -1] = limit
-            side[~np.isfinite(limit), -1] = limit[~np.isfinite(limit)]
+            side[:, -1] = limit if moving is None else np.where(np.isfinite(limit), side[:, -1], limit)
             sides.append(side)
         limits = Limits(bounded, sides[0], sides[1], outermost[1] - outermost[0])
         self._bounds.append(_Bound(name or variable, limits, relaxed))
@@ -193,7 +194,9 @@ class Problem:
         easier = Problem(self.rows, {**self.free, **excess}, self._sizes)
 
         def wider(rows: FloatArray) -> FloatArray:
-            return np.pad(rows, ((0, 0), (0, sum(excess.values()))))
+            wide = np.zeros((len(rows), easier._width))
+            wide[:, : self._width] = rows
+            return wide
 
         easier.weights, easier.origin_weights = self.weights, self.origin_weights
         easier.origin = wider(self.origin[0]), self.origin[1]
@@ -238,7 +241,7 @@ class Problem:
     def bounded(self) -> Limits:
         """C and the limits of C x."""
         rows, lower, upper, span = zip(*(bound.limits for bound in self._bounds), strict=True)
-        return Limits(np.vstack(rows), np.vstack(lower), np.vstack(upper), np.concatenate(span))
+        return Limits(*map(np.concatenate, (rows, lower, upper, span)))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -248,7 +251,7 @@ class Problem:
     @property
     def wanted(self) -> FloatArray:
         """Rows that select from x what a solution is asked for, shape (n, variables)."""
-        return np.vstack(self._wanted)
+        return np.concatenate(self._wanted)
 
     def _assembled(self, variables: Blocks, parameters: Blocks) -> tuple[FloatArray, FloatArray]:
         """Write blocks side by side, zero elsewhere: those of x, and those of p."""
@@ -268,7 +271,8 @@ class Problem:
 
 def sample_by_sample(samples: FloatArray, block: FloatArray) -> FloatArray:
     """Return the Kronecker product: a block for one sample, at samples of the horizon, the rows of I_N."""
-    return np.asarray(np.kron(samples, block), dtype=np.float64)
+    product = samples[:, np.newaxis, :, np.newaxis] * block[:, np.newaxis, :]
+    return np.asarray(product.reshape(-1, samples.shape[1] * block.shape[1]))
 
 
 class ParameterVector:
@@ -327,17 +331,19 @@ class ParameterVector:
 
 def _places(sizes: Mapping[str, int]) -> dict[str, slice]:
     """Return where each named block stands in the stacked vector."""
-    ends = np.cumsum(list(sizes.values())).tolist()
+    ends = accumulate(sizes.values())
     return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def _stacked(parts: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     left, right = zip(*parts, strict=True)
-    return np.vstack(left), np.vstack(right)
+    return np.concatenate(left), np.concatenate(right)
 
 
 def _square_root(weight: FloatArray) -> FloatArray:
     """Return F with F'F = W."""
+    if weight.size == 1:
+        return np.sqrt(np.maximum(weight, 0.0))
     values, vectors = np.linalg.eigh(weight)
     root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, np.newaxis] * vectors.T
     return root

@@ -405,7 +405,7 @@ class ParametricQP(_BoundedLaw):
         self._easier, self.problem = None, problem
         self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
-        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
+        self._law = np.concatenate([problem.excess_law, problem.move_law, cost_law])
         self._rest = len(self._law) - len(cost_law)
         if problem.paid:  # so many rows that they are left until they are asked for
             self._law, self._paid = self._law[: self._rest].copy(), len(problem.paid[0])
@@ -413,8 +413,13 @@ class ParametricQP(_BoundedLaw):
         self.hardly_matter = self.hardly_matter or problem.paid is not None
         self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
-        if self._bounds:
-            self._backend.load(problem.excess_gain)
+        self._is_ready = False
+
+    def make_ready(self) -> None:
+        """Set the solver up: the first step that asks it takes no longer than others."""
+        if self._bounds and not self._is_ready:
+            self._backend.load(self._gain)
+        self._is_ready = True
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason.
@@ -467,6 +472,7 @@ class ParametricQP(_BoundedLaw):
 
     def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> Correction | None:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
+        self.make_ready()
         t, active, failure = self._backend.solve(excess)
         # Whatever the solver reports: a law that satisfies the optimality conditions is the optimum.
         for candidate in self._candidates(excess, active, failure):
@@ -501,7 +507,10 @@ def make_law(
     """
     if online:
         condense(problem, data)  # weights that leave the optimum undetermined are refused here, not in a step
-    return _law(problem, online or factorise(data, problem.weights), limits, backend)
+    law = _law(problem, online or factorise(data, problem.weights), limits, backend)
+    if isinstance(law, ParametricQP):
+        law.make_ready()
+    return law
 
 
 def _law(

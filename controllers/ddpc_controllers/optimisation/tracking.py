@@ -165,7 +165,7 @@ def tracking_problem(
         setpoint_weight=(settings.setpoint_weight, weighed),
         change_weight=(settings.change_weight, m),
     )
-    of_followed, in_bands = np.ix_(followed, followed), _in_bands(outlook, q)
+    of_followed, in_bands = (followed[:, np.newaxis], followed), _in_bands(outlook, q)
     names = {"none": (), "input": ("u_s",), "input-output": ("u_s", "y_s")}[settings.setpoint]
     free = {name: {"u_s": m, "y_s": p}[name] for name in names}
     if settings.soft_output_bounds > 0.0:
@@ -186,7 +186,7 @@ def tracking_problem(
         problem.equate({row: rows}, {value: rows} if isinstance(value, str) else value)
 
     every_u, every_y = np.eye(n * m), np.eye(n * p)
-    held_u, held_y = np.tile(np.eye(m), (n, 1)), np.tile(np.eye(p), (n, 1))
+    held_u, held_y = np.concatenate([np.eye(m)] * n), np.concatenate([np.eye(p)] * n)
     if future_slack:
         problem.penalise(future_slack * np.eye(p), {"y": every_y, future_y: -every_y}, {})
     if len(followed):
@@ -244,27 +244,23 @@ def _bound_signals(
     The setpoint's output bounds give way with them: the terminal condition would make them hard again.
     """
     margin = settings.setpoint_margin
-    limits = {
-        "u": (bounds.u_min, bounds.u_max),
-        "y": (bounds.y_min, bounds.y_max),
-        "u_s": _drawn_in(bounds.u_min, bounds.u_max, margin),
-        "y_s": _drawn_in(bounds.y_min, bounds.y_max, margin),
-    }
+    limits = {"u": (bounds.u_min, bounds.u_max), "y": (bounds.y_min, bounds.y_max)}
+    setpoints = [name for name in limits if f"{name}_s" in problem.free]
+    limits |= {f"{name}_s": _drawn_in(*limits[name], margin) for name in setpoints}
     for name, (lower, upper) in limits.items():
         excess: dict[str, FloatArray] = {}
         if f"{name}_excess" in problem.free:
             excess[f"{name}_excess"] = np.eye(problem.free[f"{name}_excess"])
             problem.penalise(settings.soft_output_bounds * np.eye(len(lower)), excess, {})
-        if name in problem.rows or name in problem.free:
-            gives_way = relaxed if name in ("y", "y_s") and not excess else 0.0
-            variable = limited if name == "y" else name
-            moving = outlook.moving(name, bounds) if outlook else None
-            if moving and name.endswith("_s"):
-                moving = _mixed(moving, lower, upper, margin)
-            if margins is not None and name[0] == "y":
-                samples = slice(None) if name == "y" else slice(-1, None)
-                lower, upper, moving = margins.draw_in(lower, upper, samples, moving)
-            problem.bound(variable, lower, upper, excess, name, gives_way, moving)
+        gives_way = relaxed if name in ("y", "y_s") and not excess else 0.0
+        variable = limited if name == "y" else name
+        moving = outlook.moving(name, bounds) if outlook else None
+        if moving and name.endswith("_s"):
+            moving = _mixed(moving, lower, upper, margin)
+        if margins is not None and name[0] == "y":
+            samples = slice(None) if name == "y" else slice(-1, None)
+            lower, upper, moving = margins.draw_in(lower, upper, samples, moving)
+        problem.bound(variable, lower, upper, excess, name, gives_way, moving)
 
 
 def _in_bands(outlook: Outlook | None, weight: FloatArray) -> NDArray[np.intp]:

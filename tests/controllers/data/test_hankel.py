@@ -82,6 +82,15 @@ def test_excitation_does_not_depend_on_units(u: FloatArray, unit: float) -> None
     assert persistency_of_excitation(u * scale) == persistency_of_excitation(u)
 
 
+@pytest.mark.parametrize("share", [1e-1, 1e-4, 1e-8, 1e-12])
+def test_weak_parts_of_a_signal_excite_as_far_as_singular_values_tell(share: float) -> None:
+    noise = np.random.default_rng(4).standard_normal((60, 1))
+    u = np.sin(0.7 * np.arange(60.0))[:, np.newaxis] + share * noise
+    u /= np.abs(u).max()
+    orders = [order for order in range(1, 31) if numerical_rank(hankel_matrix(u, order)) == order]
+    assert persistency_of_excitation(u) == max(orders)
+
+
 def test_the_search_stops_where_it_is_told() -> None:
     u = np.random.default_rng(2).standard_normal((100, 1))
     assert persistency_of_excitation(u, at_most=7) == 7
