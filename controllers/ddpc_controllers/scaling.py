@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -70,7 +71,7 @@ class Scales:
         self.u, self.y, self.measured, self.d = scales = _scales_of(loop, by)
         self._by = by
         self._variables = loop.inputs, loop.outputs
-        self._trivial = all(bool(np.all(scale == 1.0)) for scale in scales)
+        self._trivial = all(bool((scale == 1.0).all()) for scale in scales)
         self._limits_move = bool({variable.name for variable in loop.inputs} & {*loop.moving_limits})
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._further = self._fields_of(loop, ahead)
@@ -234,10 +235,10 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
         )
         return np.ones(inputs), np.ones(outputs), np.ones(measurements), np.ones(disturbances)
     bounds, faults = loop.bounds, list[str]()
-    u = _sizes(loop.inputs, bounds.u_min, bounds.u_max, by, faults)
-    y = _sizes(loop.outputs, bounds.y_min, bounds.y_max, by, faults)
+    u = _sizes(loop.inputs, bounds.u_min.tolist(), bounds.u_max.tolist(), by, faults)
+    y = _sizes(loop.outputs, bounds.y_min.tolist(), bounds.y_max.tolist(), by, faults)
     scales, d = (
-        _sizes(signals, *_ranges(signals), by, unfit)
+        _sizes(signals, [v.min for v in signals], [v.max for v in signals], by, unfit)
         for signals, unfit in ((loop.measurements, list[str]()), (loop.disturbances, faults))
     )
     if faults:
@@ -245,25 +246,24 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
     # An output has one scale, also where it is measured.
     of_outputs = {variable.name: scale for variable, scale in zip(loop.outputs, y, strict=True)}
     measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, scales, strict=True)]
-    return u, y, np.array(measured), d
-
-
-def _ranges(variables: tuple[Variable, ...]) -> tuple[FloatArray, FloatArray]:
-    low, high = (np.array([getattr(variable, end) for variable in variables]) for end in ("min", "max"))
-    return low, high
+    sized = [np.array(sizes, dtype=np.float64) for sizes in (u, y, measured, d)]
+    return sized[0], sized[1], sized[2], sized[3]
 
 
 def _sizes(
-    variables: tuple[Variable, ...], low: FloatArray, high: FloatArray, by: ScaleBy, faults: list[str]
-) -> FloatArray:
+    variables: tuple[Variable, ...],
+    low: Sequence[float],
+    high: Sequence[float],
+    by: ScaleBy,
+    faults: list[str],
+) -> list[float]:
     """Return the scale of each variable; add those that cannot be scaled to the faults."""
-    nominal = np.array([abs(variable.nominal) for variable in variables])
-    half = np.full(len(variables), np.inf)
-    np.subtract(high / 2, low / 2, out=half, where=np.isfinite(low) & np.isfinite(high))
-    use_range = (by == "range") & np.isfinite(half) & (half > 0.0)
-    scales: FloatArray = np.where(use_range, half, nominal)
-    for variable, scale in zip(variables, scales, strict=True):
-        if not (np.isfinite(scale) and scale > 0.0):
+    scales = []
+    for variable, least, most in zip(variables, low, high, strict=True):
+        half = most / 2 - least / 2
+        scale = half if by == "range" and 0.0 < half < inf else abs(variable.nominal)
+        scales.append(scale)
+        if not 0.0 < scale < inf:
             faults.append(
                 f'"{variable.name}" cannot be scaled: its nominal value is {variable.nominal:g}; give it one '
                 "above 0, or bounds and scale by range"

@@ -1,6 +1,7 @@
 """Inputs within their limits, and their changes: the box QP in dU, or the first change clipped."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import accumulate
 from math import isfinite
 
@@ -178,8 +179,7 @@ class ChangeLimits:
         self._optimise = optimise
         self._spans = _spans(bounds.u_max - bounds.u_min, rates)
         self._scales = np.tile(self._spans, steps)
-        # In parts of the spans. Limits are for the levels of the inputs, then for their changes.
-        self._limited = np.vstack([np.kron(np.tri(steps), np.eye(len(rates))), np.eye(steps * len(rates))])
+        self._limited = _limited(steps, len(rates))
         self._largest = np.tile(rates / self._spans, steps)
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
         self._backend = PIQPBackend()
@@ -341,6 +341,14 @@ class ChangeLimits:
                 return np.asarray(solution[:n])
             at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
         return None
+
+
+@lru_cache(maxsize=16)  # those who control many plants of one kind ask again
+def _limited(steps: int, inputs: int) -> FloatArray:
+    """Return what has limits, in parts of the spans: levels of the inputs in a plan, then their changes."""
+    limited = np.vstack([np.kron(np.tri(steps), np.eye(inputs)), np.eye(steps * inputs)])
+    limited.flags.writeable = False
+    return limited
 
 
 def _at_corner(gain: FloatArray, excess: FloatArray, active: list[int], t: FloatArray) -> FloatArray:
