@@ -6,7 +6,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files as package_files
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import inf, prod
 from typing import Any, ClassVar, NamedTuple
 
@@ -352,6 +352,12 @@ class Code:
         self.remembered += values.size
         return f"(memory + {place})"
 
+    def scratch(self, *sizes: int) -> list[str]:
+        """Return places for so many numbers each, which a step works in: zero before the first one."""
+        *places, end = accumulate(sizes, initial=self.remembered)
+        self.memory(np.zeros(end - self.remembered))
+        return [f"(memory + {place})" for place in places]
+
     def constant(self, kind: str, /, **fields: object) -> str:
         """Return the name of a constant structure of a kernel's type.
 
@@ -434,8 +440,7 @@ class Code:
         if self.follows:
             seen = self.memory(np.full(p + len(others), np.nan))
             applied, follows = self.memory(resting_input(loop)), self.memory(0.0)
-        measured = self.memory(np.zeros(q))
-        reference = self.memory(np.zeros(horizon * p))
+        measured, reference = self.scratch(q, horizon * p)
         last = self.memory(resting_input(loop))
         looks = list[str]()
         if self.ahead:
@@ -492,11 +497,10 @@ class Code:
             ]
         self.kernel("sample")
         numeric = [part for part in self.parts if not isinstance(part, str)]
-        constants = _DOUBLE * sum(part.numbers.size for part in numeric)
-        footprint = Footprint(constants, _DOUBLE * self.remembered + _COUNTS)
-        loaded = numeric if apart else []
+        numbers = np.concatenate([np.empty(0), *(part.numbers for part in numeric)])
+        footprint = Footprint(_DOUBLE * numbers.size, _DOUBLE * self.remembered + _COUNTS)
         if apart:
-            functions[_LOAD] = [line for part in loaded for line in part.loading()]
+            functions[_LOAD] = [line for part in numeric for line in part.loading()]
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
         parts = [
             "\n".join(f'#include "{name}"' for name in includes)
@@ -531,7 +535,7 @@ class Code:
             },
             STATUSES,
             self.follows,
-            np.concatenate([np.empty(0), *(part.numbers for part in loaded)]),
+            numbers if apart else np.empty(0),
             footprint,
         )
 

@@ -113,7 +113,7 @@ class LinearisedPrediction:
         )
         terms, rows = first.output_terms + len(first.inputs) * first.input_length, horizon * p
         sizes = (rows * terms, rows * (n + 1), rows, n * n, n * n, n, n, (rows + n) * n)
-        return prediction, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
+        return prediction, f"{{{', '.join(code.scratch(*sizes))}}}"
 
     def _summed(self, changes: FloatArray) -> FloatArray:
         """Return the sums of the rows over time."""

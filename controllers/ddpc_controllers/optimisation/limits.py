@@ -247,10 +247,9 @@ class ChangeLimits:
         )
         limited = (1 + rated) * n
         sizes = (n * n, limited * n, limited, limited, limited, limited, n, qp_memory(n))
-        bounds = code.memory([self._u_min, self._u_max])
-        others = [code.memory(np.zeros(size)) for size in sizes]
+        bounds, places = code.memory([self._u_min, self._u_max]), code.scratch(*sizes)
         look = code.ahead.limits(code, 1, bounds) if moving and code.ahead else ""
-        return limits, f"{{{', '.join([bounds, *others])}}}", look
+        return limits, f"{{{', '.join([bounds, *places])}}}", look
 
     def reached(self, u: Sequence[float], changes: FloatArray) -> int:
         """Return at how many limits changes, shape (Nu, m), from ``u`` on are, as far as they keep them."""
