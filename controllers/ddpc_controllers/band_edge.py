@@ -82,7 +82,7 @@ class BandEdge(SingleWrapper):
             samples=1 + inside.horizon,
             margin=code.doubles(self._margin[outputs]),
         )
-        first = len(code.start)
+        first = code.remembered
         bands = code.memory(np.zeros((1 + inside.horizon, len(outputs), 2)))
         draw_in = (
             f"{code.ahead.chosen(code, lambda sample: _bands(sample)[:, outputs], bands)}"

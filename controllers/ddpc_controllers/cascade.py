@@ -128,7 +128,7 @@ class Cascade(Wrapper):
             One of them cannot be exported.
         """
         code.kernel("parts")
-        first = len(code.start)
+        first = code.remembered
         outer = inner_step(self._outer.controller, code, self._outer_loop)
         inner = inner_step(self._inner.controller, code, self._inner_loop(loop))
         p, targets = len(loop.outputs), len(self._outer_loop.inputs)
@@ -185,7 +185,7 @@ class Cascade(Wrapper):
             outer, code = Inner(self.outer), Code()
             outer.start(replace(loop, inputs=inputs, rng=deepcopy(loop.rng)))
             inner_step(outer.controller, code, loop)
-            return code.texts(), np.array(code.start)
+            return code.texts(), code.start
 
         constants, start = started(np.zeros(len(rest)))
         slopes = np.zeros((len(start), len(rest)))

@@ -235,10 +235,10 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
         )
         return np.ones(inputs), np.ones(outputs), np.ones(measurements), np.ones(disturbances)
     bounds, faults = loop.bounds, list[str]()
-    u = _sizes(loop.inputs, bounds.u_min, bounds.u_max, by, faults)
-    y = _sizes(loop.outputs, bounds.y_min, bounds.y_max, by, faults)
+    u = _sizes(loop.inputs, bounds.u_min.tolist(), bounds.u_max.tolist(), by, faults)
+    y = _sizes(loop.outputs, bounds.y_min.tolist(), bounds.y_max.tolist(), by, faults)
     scales, d = (
-        _sizes(signals, *_ranges(signals), by, unfit)
+        _sizes(signals, [v.min for v in signals], [v.max for v in signals], by, unfit)
         for signals, unfit in ((loop.measurements, list[str]()), (loop.disturbances, faults))
     )
     if faults:
@@ -246,20 +246,20 @@ def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatAr
     # An output has one scale, also where it is measured.
     of_outputs = {variable.name: scale for variable, scale in zip(loop.outputs, y, strict=True)}
     measured = [of_outputs.get(v.name, scale) for v, scale in zip(loop.measurements, scales, strict=True)]
-    return u, y, np.array(measured), d
-
-
-def _ranges(variables: tuple[Variable, ...]) -> tuple[FloatArray, FloatArray]:
-    low, high = (np.array([getattr(variable, end) for variable in variables]) for end in ("min", "max"))
-    return low, high
+    sized = [np.array(sizes, dtype=np.float64) for sizes in (u, y, measured, d)]
+    return sized[0], sized[1], sized[2], sized[3]
 
 
 def _sizes(
-    variables: tuple[Variable, ...], low: FloatArray, high: FloatArray, by: ScaleBy, faults: list[str]
-) -> FloatArray:
+    variables: tuple[Variable, ...],
+    low: Sequence[float],
+    high: Sequence[float],
+    by: ScaleBy,
+    faults: list[str],
+) -> list[float]:
     """Return the scale of each variable; add those that cannot be scaled to the faults."""
-    scales = list[float]()
-    for variable, least, most in zip(variables, low.tolist(), high.tolist(), strict=True):
+    scales = []
+    for variable, least, most in zip(variables, low, high, strict=True):
         half = most / 2 - least / 2
         scale = half if by == "range" and 0.0 < half < inf else abs(variable.nominal)
         scales.append(scale)

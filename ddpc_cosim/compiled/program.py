@@ -16,6 +16,7 @@ from fmu_plants.files import cached
 from fmu_plants.model import ExportError
 
 _FUNCTIONS = ("loop_run", "loop_controller_size", "loop_start_controller")
+_FLAGS = ("-O3",)  # a loop is run many times; that alone puts no operation before another
 NO_CONTROLLER = ControllerCode(
     {
         "controller.h": """#ifndef CONTROLLER_H
@@ -124,11 +125,11 @@ def program_of(code: ControllerCode) -> Program:
         try:
             compiler = find_compiler()
             place = hashlib.sha256(
-                " ".join([digest, compiler.identity, *compiler.flags]).encode()
+                " ".join([digest, compiler.identity, *compiler.flags, *_FLAGS]).encode()
             ).hexdigest()
             path = cached(
                 f"loops/{place[:16]}/loop{compiler.platform.suffix}",
-                lambda: compile_library(compiler, sources, _FUNCTIONS, keep_objects=True),
+                lambda: compile_library(compiler, sources, _FUNCTIONS, _FLAGS, keep_objects=True),
             )
             _programs[key] = Program(path)
         except (ExportError, OSError) as error:  # in a sandbox the cache folder is not to be written to

@@ -279,7 +279,7 @@ def compile_library(
         Sources that may use the same names within a file as others.
     keep_objects : bool
         Whether to keep in the cache folder what each source is compiled to, for other libraries that have
-        some of the same sources. There are no further arguments then.
+        some of the same sources.
 
     Raises
     ------
@@ -296,7 +296,7 @@ def compile_library(
         built = folder / f"library{platform.suffix}"
         sources = sorted(name for name in files if name.endswith(".c"))
         if keep_objects:
-            sources = [_object(compiler, files, name, folder) for name in sources]
+            sources = [_object(compiler, files, name, folder, extra_flags) for name in sources]
         compiler.build(sources, built.name, extra_flags, folder, apart)
         missing = (_unloadable if platform == host_platform() else _unlisted)(built, required)
         if missing:
@@ -305,14 +305,16 @@ def compile_library(
         return built.read_bytes()
 
 
-def _object(compiler: Compiler, files: Mapping[str, str], source: str, folder: Path) -> str:
+def _object(
+    compiler: Compiler, files: Mapping[str, str], source: str, folder: Path, extra_flags: Sequence[str]
+) -> str:
     """Put into a folder that has all files what one of them is compiled to, and return its name there."""
     included, new = dict[str, str](), [source]
     while new:
         included |= {name: files[name] for name in new}
         inclusions = {name for text in included.values() for name in _INCLUSION.findall(text)}
         new = sorted(inclusions & files.keys() - included.keys())
-    flags = [flag for flag in compiler.flags if flag not in _OF_LINKING]
+    flags = [flag for flag in (*compiler.flags, *extra_flags) if flag not in _OF_LINKING]
     digest = hashlib.sha256(repr([compiler.identity, flags, sorted(included.items())]).encode()).hexdigest()
     built = folder / f"{source}.o"
 

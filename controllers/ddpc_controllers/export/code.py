@@ -6,7 +6,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files as package_files
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import inf, prod
 from typing import Any, ClassVar, NamedTuple
 
@@ -249,8 +249,8 @@ class Code:
     ----------
     parts : list of str, Table or Structure
         Constants and step functions.
-    start : list of float
-        What the memory begins with.
+    remembered : int
+        How many numbers the memory has so far.
     ahead : Ahead or None
         What is known of disturbances, bands, prices and moving limits, as the method that is being added
         sees it; None: there is nothing of the kind.
@@ -260,9 +260,10 @@ class Code:
 
     def __init__(self) -> None:
         self.parts: list[str | Table | Structure] = []
-        self.start: list[float] = []
+        self.remembered = 0
         self.ahead: Ahead | None = None
         self.follows = True
+        self._starts: list[FloatArray] = []
         self._kernels: list[str] = []
         self._tables: dict[tuple[str, str | bytes], str] = {}
         self._count = 0
@@ -316,6 +317,11 @@ class Code:
         factors: dict[str, Any] = {name: np.ones(values.shape) for name, values in seen.items()}
         self.ahead = Ahead(empty._replace(**seen), empty._replace(**factors))
 
+    @property
+    def start(self) -> FloatArray:
+        """What the memory begins with."""
+        return np.concatenate([np.empty(0), *self._starts])
+
     @contextmanager
     def seeing(self, ahead: Ahead | None) -> Iterator[None]:
         """Let what is added meanwhile see this of the time ahead."""
@@ -340,9 +346,16 @@ class Code:
         start : array
             Their values before the first step, row after row.
         """
-        place = len(self.start)
-        self.start += np.asarray(start, dtype=np.float64).ravel().tolist()
+        place, values = self.remembered, np.array(start, dtype=np.float64).ravel()
+        self._starts.append(values)
+        self.remembered += values.size
         return f"(memory + {place})"
+
+    def scratch(self, *sizes: int) -> list[str]:
+        """Return places for so many numbers each, which a step works in: zero before the first one."""
+        *places, end = accumulate(sizes, initial=self.remembered)
+        self.memory(np.zeros(end - self.remembered))
+        return [f"(memory + {place})" for place in places]
 
     def constant(self, kind: str, /, **fields: object) -> str:
         """Return the name of a constant structure of a kernel's type.
@@ -397,7 +410,7 @@ class Code:
         step: str,
         horizon: int,
         loop: Loop,
-        rest: Sequence[float] | None = None,
+        rest: FloatArray | None = None,
         *,
         apart: bool = False,
     ) -> ControllerCode:
@@ -411,12 +424,12 @@ class Code:
             How many future references it takes; those beyond the loop's preview repeat the last one.
         loop : Loop
             The loop it was started with.
-        rest : sequence of float, optional
+        rest : array, optional
             What the memory has so far where the controller was started at rest; default: it was.
         apart : bool
             Whether its numbers stand apart from the code.
         """
-        controller_size = len(self.start)
+        controller_size = self.remembered
         p, q, m = len(loop.outputs), len(loop.measurements), len(loop.inputs)
         outputs = [variable.name for variable in loop.outputs]
         others = [v.name for v in loop.measurements if v.name not in outputs]
@@ -426,8 +439,7 @@ class Code:
         if self.follows:
             seen = self.memory(np.full(p + len(others), np.nan))
             applied, follows = self.memory(resting_input(loop)), self.memory(0.0)
-        measured = self.memory(np.zeros(q))
-        reference = self.memory(np.zeros(horizon * p))
+        measured, reference = self.scratch(q, horizon * p)
         last = self.memory(resting_input(loop))
         looks = list[str]()
         if self.ahead:
@@ -438,15 +450,16 @@ class Code:
             looks.append(self.ahead.limits(self, 1, low).rstrip())
         else:
             low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
-        start = resting = self._filling(self.start, apart=apart)
+        begun = self.start
+        start = resting = self._filling(begun, apart=apart)
         if self.follows and rest is not None:
-            resting = self._filling([*rest, *self.start[controller_size:]], apart=apart)
+            resting = self._filling(np.append(rest, begun[controller_size:]), apart=apart)
         further = further_arguments(loop, horizon)
         sizes = {
             "MEASUREMENTS": p + len(others),
             "REFERENCES": (1 + preview) * p + sum(map(prod, further.values())),
             "INPUTS": m,
-            "MEMORY": len(self.start),
+            "MEMORY": self.remembered,
         }
 
         def body(y: str, inputs: str) -> list[str]:
@@ -484,7 +497,7 @@ class Code:
         self.kernel("sample")
         numeric = [part for part in self.parts if not isinstance(part, str)]
         numbers = np.concatenate([np.empty(0), *(part.numbers for part in numeric)])
-        footprint = Footprint(_DOUBLE * numbers.size, _DOUBLE * len(self.start) + _COUNTS)
+        footprint = Footprint(_DOUBLE * numbers.size, _DOUBLE * self.remembered + _COUNTS)
         if apart:
             functions[_LOAD] = [line for part in numeric for line in part.loading()]
         includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
@@ -525,7 +538,7 @@ class Code:
             footprint,
         )
 
-    def _filling(self, values: Sequence[float], *, apart: bool) -> list[str]:
+    def _filling(self, values: FloatArray, *, apart: bool) -> list[str]:
         """Return statements that give the memory its first values.
 
         What a step works in begins with zeros, of which a target needs no copy among its constants. Where
@@ -533,14 +546,15 @@ class Code:
         """
         size = f"{len(values)} * sizeof(double)"
         if apart:
-            return [f"memcpy(memory, {self.doubles(values)}, {size});"]
-        numbers = np.array(values, dtype=np.float64)
-        filled = np.flatnonzero(numbers.view(np.int64))  # -0.0 is none of the zeros
+            name = self._name("table")
+            self.parts.append(Table(name, values))
+            return [f"memcpy(memory, {name}, {size});"]
+        filled = np.flatnonzero(values.view(np.int64))  # -0.0 is none of the zeros
         lines = [f"memset(memory, 0, {size});"]
         for part in np.split(filled, np.flatnonzero(np.diff(filled) > _FEW_ZEROS) + 1):
             if part.size:
                 first, end = int(part[0]), int(part[-1]) + 1
-                table = self.doubles(numbers[first:end])
+                table = self.doubles(values[first:end])
                 lines.append(f"memcpy(memory + {first}, {table}, {end - first} * sizeof(double));")
         return lines
 

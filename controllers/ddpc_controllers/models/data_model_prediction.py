@@ -18,11 +18,13 @@ where theta is reset to its initial value when its length reaches M.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 from operator import mul
 
 import numpy as np
 import scipy  # whose parts are imported when they are first used
+from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.data_model import PseudoGradient, Regressor, dot
@@ -51,14 +53,7 @@ class LinearisedPrediction:
         feeds_back = regressors[0].output_length > 0
         system = np.zeros((horizon * p, layout.coming + feeds_back * horizon * p))
         self._flat = system.reshape(-1)
-        self._entries = np.array(
-            [
-                (j * p + output) * system.shape[1] + column
-                for output, regressor in enumerate(regressors)
-                for j in range(horizon)
-                for column in layout.columns(regressor, j)
-            ]
-        )
+        self._entries = _entries(layout, tuple(regressors), horizon, system.shape[1])
         self._known = system[:, : layout.decided] if layout.decided else None
         self._decided = system[:, layout.decided : layout.decided + decided]
         self._coming = system[:, layout.coming :] if feeds_back else None
@@ -118,7 +113,7 @@ class LinearisedPrediction:
         )
         terms, rows = first.output_terms + len(first.inputs) * first.input_length, horizon * p
         sizes = (rows * terms, rows * (n + 1), rows, n * n, n * n, n, n, (rows + n) * n)
-        return prediction, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
+        return prediction, f"{{{', '.join(code.scratch(*sizes))}}}"
 
     def _summed(self, changes: FloatArray) -> FloatArray:
         """Return the sums of the rows over time."""
@@ -177,6 +172,23 @@ class _Layout:
         if later >= 0:
             return self.decided + later * self.inputs + channel
         return self.output_length * self.outputs + (-later - 1) * self.inputs + channel
+
+
+@lru_cache(maxsize=16)  # those who control many plants of one kind ask again
+def _entries(
+    layout: _Layout, regressors: tuple[Regressor, ...], horizon: int, width: int
+) -> NDArray[np.intp]:
+    """Return where the rows of Phi_k, ..., Phi_k+N-1 stand in the system, for each output after another."""
+    entries = np.array(
+        [
+            (j * len(regressors) + output) * width + column
+            for output, regressor in enumerate(regressors)
+            for j in range(horizon)
+            for column in layout.columns(regressor, j)
+        ]
+    )
+    entries.flags.writeable = False
+    return entries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

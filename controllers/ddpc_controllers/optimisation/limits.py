@@ -1,6 +1,7 @@
 """Inputs within their limits, and their changes: the box QP in dU, or the first change clipped."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import accumulate
 from math import isfinite
 
@@ -178,8 +179,7 @@ class ChangeLimits:
         self._optimise = optimise
         self._spans = _spans(bounds.u_max - bounds.u_min, rates)
         self._scales = np.tile(self._spans, steps)
-        # In parts of the spans. Limits are for the levels of the inputs, then for their changes.
-        self._limited = np.vstack([np.kron(np.tri(steps), np.eye(len(rates))), np.eye(steps * len(rates))])
+        self._limited = _limited(steps, len(rates))
         self._largest = np.tile(rates / self._spans, steps)
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
         self._backend = PIQPBackend()
@@ -247,10 +247,9 @@ class ChangeLimits:
         )
         limited = (1 + rated) * n
         sizes = (n * n, limited * n, limited, limited, limited, limited, n, qp_memory(n))
-        bounds = code.memory([self._u_min, self._u_max])
-        others = [code.memory(np.zeros(size)) for size in sizes]
+        bounds, places = code.memory([self._u_min, self._u_max]), code.scratch(*sizes)
         look = code.ahead.limits(code, 1, bounds) if moving and code.ahead else ""
-        return limits, f"{{{', '.join([bounds, *others])}}}", look
+        return limits, f"{{{', '.join([bounds, *places])}}}", look
 
     def reached(self, u: Sequence[float], changes: FloatArray) -> int:
         """Return at how many limits changes, shape (Nu, m), from ``u`` on are, as far as they keep them."""
@@ -341,6 +340,14 @@ class ChangeLimits:
                 return np.asarray(solution[:n])
             at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
         return None
+
+
+@lru_cache(maxsize=16)  # those who control many plants of one kind ask again
+def _limited(steps: int, inputs: int) -> FloatArray:
+    """Return what has limits, in parts of the spans: levels of the inputs in a plan, then their changes."""
+    limited = np.vstack([np.kron(np.tri(steps), np.eye(inputs)), np.eye(steps * inputs)])
+    limited.flags.writeable = False
+    return limited
 
 
 def _at_corner(gain: FloatArray, excess: FloatArray, active: list[int], t: FloatArray) -> FloatArray:

@@ -11,13 +11,13 @@ static const double AT_LIMIT = 1e-9;
 
 bool factorise(const double matrix[], double factor[], size_t n)
 {
-    for (size_t i = 0; i < n; ++i) {
-        for (size_t j = 0; j <= i; ++j) {
-            const double rest = matrix[i * n + j] - dot(factor + i * n, factor + j * n, j);
-            if (j < i) factor[i * n + j] = rest / factor[j * n + j];
-            else if (rest > 0.0) factor[i * n + i] = sqrt(rest);
-            else return false;
-        }
+    for (size_t j = 0; j < n; ++j) {
+        const double *own = factor + j * n;
+        const double rest = matrix[j * n + j] - dot(own, own, j);
+        if (!(rest > 0.0)) return false;
+        const double diagonal = factor[j * n + j] = sqrt(rest);
+        for (size_t i = j + 1; i < n; ++i) /* down the column: none waits for another */
+            factor[i * n + j] = (matrix[i * n + j] - dot(factor + i * n, own, j)) / diagonal;
     }
     return true;
 }
@@ -36,28 +36,40 @@ static bool admits(const ChangeLimits *limits, const double bounds[], const doub
     return true;
 }
 
-/* One limited value in terms of t = L' (x - free), x the changes in parts of their spans, L `factor`. */
-static void limit_row(const ChangeLimits *limits, const ChangeLimitsMemory *held, const double last[],
-                      const double plan[], size_t limited)
+/* The limited values in terms of t = L' (x - free), x the changes in parts of their spans, L `factor`. */
+static void limit_rows(const ChangeLimits *limits, const ChangeLimitsMemory *held, const double last[],
+                       const double plan[], size_t limited)
 {
-    const size_t m = limits->m, n = limits->steps * m, at = limited % n, j = at % m;
-    const bool is_level = limited < n;
-    const double span = limits->spans[j], *factor = held->factor;
-    double *row = held->rows + limited * n, value = 0.0;
-    memset(row, 0, n * sizeof(double));
-    for (size_t i = is_level ? j : at; i <= at; i += m) {
-        row[i] = 1.0;
-        value += plan[i] / span;
+    const size_t m = limits->m, n = limits->steps * m;
+    const double *factor = held->factor;
+    memset(held->rows, 0, limited * n * sizeof(double));
+    for (size_t l = 0; l < limited; ++l) {
+        const size_t at = l % n, j = at % m;
+        double value = 0.0;
+        for (size_t i = l < n ? j : at; i <= at; i += m) {
+            held->rows[l * n + i] = 1.0;
+            value += plan[i] / limits->spans[j];
+        }
+        held->value[l] = value;
     }
-    for (size_t i = 0; i < n; ++i) { /* L^-1 row */
-        row[i] = (row[i] - dot(factor + i * n, row, i)) / factor[i * n + i];
+    for (size_t i = 0; i < n; ++i) { /* L^-1 row, of all of them at once: none waits for another */
+        for (size_t l = 0; l < limited; ++l) {
+            double *row = held->rows + l * n;
+            row[i] = (row[i] - dot(factor + i * n, row, i)) / factor[i * n + i];
+        }
     }
-    const double norm = sqrt(dot(row, row, n));
-    for (size_t i = 0; i < n; ++i) row[i] /= norm;
-    held->value[limited] = value / norm;
-    held->lower[limited] = (is_level ? held->bounds[j] - last[j] : -limits->rates[j]) / (span * norm);
-    held->upper[limited] = (is_level ? held->bounds[m + j] - last[j] : limits->rates[j]) / (span * norm);
-    held->tolerance[limited] = ROUNDING / norm;
+    for (size_t l = 0; l < limited; ++l) {
+        const size_t j = l % m;
+        const bool is_level = l < n;
+        const double span = limits->spans[j];
+        double *row = held->rows + l * n;
+        const double norm = sqrt(dot(row, row, n));
+        for (size_t i = 0; i < n; ++i) row[i] /= norm;
+        held->value[l] /= norm;
+        held->lower[l] = (is_level ? held->bounds[j] - last[j] : -limits->rates[j]) / (span * norm);
+        held->upper[l] = (is_level ? held->bounds[m + j] - last[j] : limits->rates[j]) / (span * norm);
+        held->tolerance[l] = ROUNDING / norm;
+    }
 }
 
 /* The best plan that keeps the limits; it stays as it is, with a status, where there is none. */
@@ -66,11 +78,14 @@ static void optimise(const ChangeLimits *limits, const ChangeLimitsMemory *held,
 {
     const size_t m = limits->m, n = limits->steps * m, limited = limits->rated ? 2 * n : n;
     double *scaled = held->rows, largest = 0.0;
-    for (size_t i = 0; i < n * n; ++i) {
-        scaled[i] = hessian[i] * limits->spans[i / n % m] * limits->spans[i % m];
-        largest = fmax(largest, fabs(scaled[i]));
+    for (size_t i = 0; i < n; ++i) {
+        for (size_t j = 0; j <= i; ++j) {
+            scaled[i * n + j] = hessian[i * n + j] * limits->spans[i % m] * limits->spans[j % m];
+            largest = fmax(largest, fabs(scaled[i * n + j]));
+        }
     }
-    for (size_t i = 0; i < n * n; ++i) scaled[i] /= largest;
+    for (size_t i = 0; i < n; ++i)
+        for (size_t j = 0; j <= i; ++j) scaled[i * n + j] /= largest;
     if (!factorise(scaled, held->factor, n)) {
         for (size_t i = 0; i < n; ++i) scaled[i * (n + 1)] += ROUNDING;
         if (!factorise(scaled, held->factor, n)) {
@@ -78,9 +93,9 @@ static void optimise(const ChangeLimits *limits, const ChangeLimitsMemory *held,
             return;
         }
     }
-    for (size_t i = 0; i < limited; ++i) limit_row(limits, held, last, plan, i);
+    limit_rows(limits, held, last, plan, limited);
     const QP qp = {limited, n, held->rows, held->value, held->lower, held->upper, held->tolerance};
-    memset(held->qp, 0, QP_MEMORY(n) * sizeof(double));
+    qp_refactor(&qp, held->qp); /* the limits that were reached last are the first guess */
     const QPResult result = qp_solve(&qp, held->qp, held->t, &told->iterations);
     if (result != QP_SOLVED) {
         told->status |= result == QP_EXCEEDED ? STATUS_CLIPPED | STATUS_ITERATIONS : STATUS_CLIPPED;

@@ -66,24 +66,38 @@ static void solve_least_squares(const LinearisedPrediction *prediction, const Pr
     }
 }
 
+/* The lower triangle of A'A + diag(ridge), and A' error. A is triangular: no output follows what comes after it. */
+static void set_normal_equations(const LinearisedPrediction *prediction, const PredictionMemory *held,
+                                 const double ridge[])
+{
+    const size_t p = prediction->p, m = prediction->m, n = prediction->control_horizon * m;
+    const size_t horizon = prediction->horizon;
+    for (size_t i = 0; i < n; ++i) {
+        double *entries = held->hessian + i * n, slope = 0.0;
+        /* Outputs that do not follow their own past are where the change takes them after so many samples. */
+        const size_t arrived = i / m + prediction->input_length;
+        const size_t different = prediction->output_length > 0 || arrived > horizon ? horizon : arrived;
+        memset(entries, 0, i * sizeof(double));
+        entries[i] = ridge[i];
+        for (size_t k = i / m * p; k < different * p; ++k) {
+            const double *row = held->response + k * (n + 1);
+            const double times = k < (different - 1) * p ? 1.0 : (double)(horizon - different + 1);
+            const double share = times * row[i];
+            for (size_t j = 0; j <= i; ++j) entries[j] += share * row[j];
+        }
+        for (size_t k = i / m * p; k < horizon * p; ++k) slope += held->response[k * (n + 1) + i] * held->error[k];
+        held->slope[i] = slope;
+    }
+}
+
 void least_changes(const LinearisedPrediction *prediction, const PredictionMemory *held, const double ridge[])
 {
-    const size_t n = prediction->control_horizon * prediction->m, rows = prediction->horizon * prediction->p;
-    for (size_t i = 0; i < n * n; ++i) held->hessian[i] = i % (n + 1) == 0 ? ridge[i / n] : 0.0;
-    for (size_t i = 0; i < n; ++i) held->slope[i] = 0.0;
-    for (size_t k = 0; k < rows; ++k) {
-        const double *row = held->response + k * (n + 1);
-        /* A is triangular: no output follows what comes after it. */
-        const size_t before = (k / prediction->p + 1) * prediction->m;
-        for (size_t i = 0; i < n && i < before; ++i) {
-            held->slope[i] += row[i] * held->error[k];
-            for (size_t j = 0; j <= i; ++j) held->hessian[i * n + j] += row[i] * row[j];
-        }
-    }
-    for (size_t i = 0; i < n; ++i)
-        for (size_t j = 0; j < i; ++j) held->hessian[j * n + i] = held->hessian[i * n + j];
+    const size_t n = prediction->control_horizon * prediction->m;
+    set_normal_equations(prediction, held, ridge);
     memcpy(held->plan, held->slope, n * sizeof(double));
-    if (!all_finite(held->hessian, n * n) || !all_finite(held->slope, n)) {
+    bool finite = all_finite(held->slope, n);
+    for (size_t i = 0; i < n; ++i) finite = finite && isfinite(held->hessian[i * (n + 1)]); /* the largest */
+    if (!finite) {
         held->plan[0] = NAN;
         return;
     }
@@ -94,7 +108,8 @@ void least_changes(const LinearisedPrediction *prediction, const PredictionMemor
     for (size_t i = 0; i < n; ++i)
         held->plan[i] = (held->plan[i] - dot(held->factor + i * n, held->plan, i)) / held->factor[i * n + i];
     for (size_t i = n; i-- > 0;) {
-        for (size_t j = i + 1; j < n; ++j) held->plan[i] -= held->factor[j * n + i] * held->plan[j];
-        held->plan[i] /= held->factor[i * n + i];
+        const double *row = held->factor + i * n;
+        held->plan[i] /= row[i];
+        for (size_t j = 0; j < i; ++j) held->plan[j] -= row[j] * held->plan[i];
     }
 }

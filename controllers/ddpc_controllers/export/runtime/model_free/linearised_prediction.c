@@ -23,7 +23,7 @@ static void predict_change(const LinearisedPrediction *prediction, const Predict
     const double *phi = held->ahead + (output * prediction->horizon + k) * own_changes(prediction);
     const double *dy = changes, *du = dy + p * prediction->output_length;
     double *row = held->response + (k * p + output) * (n + 1);
-    for (size_t i = 0; i < n; ++i) row[i] = 0.0;
+    memset(row, 0, n * sizeof(double));
     row[n] = acting;
     for (size_t lag = 0; lag < prediction->output_length; ++lag) {
         for (size_t i = first; i < end_outputs; ++i, ++phi) {
