@@ -533,9 +533,9 @@ def evaluated(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
     """Return what ``run.json`` says of a run's samples, and what that depends on besides them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        metrics = trace.metrics(settings)
+        metrics, each = trace.figures(settings)
     return {
-        "tracking": [tracking.written() for tracking in trace.tracking(settings)],
+        "tracking": [tracking.written() for tracking in each],
         "metrics": metrics,
         "metric_warnings": [
             recorded(warning.message) for warning in caught if issubclass(warning.category, CosimWarning)
