@@ -220,7 +220,8 @@ def compute_metrics(
     replaced = _third_parties().metrics
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
-            for name, metric in _built_in_of(type(samples)):
+            kind: Any = type(samples)
+            for name, metric in _built_in_of(kind):
                 if name not in replaced and metric.exists(samples):
                     table[_key(name, metric.unit, samples)] = metric.compute(samples)
     return table
@@ -430,7 +431,8 @@ def _percentile(values: FloatArray, percent: float) -> float:
     below = int(place)
     lower, upper = np.sort(values)[[below, min(below + 1, values.size - 1)]].tolist()
     part, difference = place - below, upper - lower
-    return lower + difference * part if part < 0.5 else upper - difference * (1 - part)
+    between: float = lower + difference * part if part < 0.5 else upper - difference * (1 - part)
+    return between
 
 
 def _has_steps(response: Response) -> bool:

@@ -100,11 +100,11 @@ def _far_references(loop: Loop, way: FloatArray, size: FloatArray) -> list[str]:
 
 def _faint_inputs(loop: Loop, u: FloatArray, way: FloatArray) -> list[str]:
     """Faint against its limits is an input only where the outputs did not get to the reference with it."""
+    if not (way > _BEYOND).any():
+        return []
     bounds = loop.bounds
     half = bounds.u_max / 2 - bounds.u_min / 2
     size = u.std(axis=0)
-    if not (way > _BEYOND).any():
-        return []
     return [
         f'the recorded input "{variable.name}" moves by {_shown(variable, rms)} (root mean square about its '
         f"mean), {100 * rms / room:.2g} % of half its range: record with a larger excitation"

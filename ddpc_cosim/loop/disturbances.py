@@ -218,6 +218,8 @@ class ActingDisturbances:
         is_before : bool
             It is an experiment or a warm-up, which files of forecasts need not tell: there they are not used.
         """
+        if not self.told:
+            return Expected((), (), np.empty((first + len(time), 0)), first, samples)
         times = RunTimes(float(time[0]), self._sampling_time, samples)
         ahead = len(time) - samples
         longest = ahead if self._forecast_horizon is None else self._forecast_horizon

@@ -1020,15 +1020,16 @@ def _run(
     pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
-    end, steps, controls_itself = 0, setup.substeps, isinstance(controller, PlantControl)
-    for k, time in enumerate(rows.time.tolist()):
-        if k < end:  # another engine has run it
-            continue
+    steps, controls_itself = setup.substeps, isinstance(controller, PlantControl)
+    times, k = rows.time.tolist(), 0
+    while k <= last:
+        time = times[k]
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
         if elsewhere is not None:
-            end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
+            end = _rows_before(pending[0].time, k, rows, setup.sampling_time) if pending else last + 1
             y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
+            k = end
             continue
         sample, measured = rows.begin(k, first, y_plant)
         decision = yield controller, sample, inputs
@@ -1039,6 +1040,7 @@ def _run(
                 require_finite(y_plant, plant)
                 if i + 1 < steps:
                     rows.write_between(k, i, y_plant)
+        k += 1
     return y_plant
 
 
