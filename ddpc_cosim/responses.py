@@ -116,18 +116,23 @@ class Response(SampledSignal):
     def _moves(self) -> NDArray[np.bool_]:
         """Whether the reference changes from row to row, by more than a rounding error."""
         r = self.reference
-        smallest = 1e-9 * self._span + 1e-12 * self._farthest if r.size else 0.0
+        smallest = 1e-9 * (self._highest - self._lowest) + 1e-12 * self._farthest if r.size else 0.0
         return np.abs(r[1:] - r[:-1]) > smallest
 
     @cached_property
-    def _span(self) -> float:
-        """The largest less the smallest value of the reference."""
-        return float(np.ptp(self.reference))
+    def _lowest(self) -> float:
+        """The smallest value of the reference."""
+        return float(np.minimum.reduce(self.reference))
 
     @cached_property
+    def _highest(self) -> float:
+        """The largest one."""
+        return float(np.maximum.reduce(self.reference))
+
+    @property
     def _farthest(self) -> float:
-        """The largest magnitude of the reference."""
-        return float(np.abs(self.reference).max())
+        """The largest magnitude."""
+        return max(abs(self._lowest), abs(self._highest))
 
     @property
     def _first_step(self) -> float:
@@ -137,7 +142,7 @@ class Response(SampledSignal):
         """Return from which value the reference steps at a row, NaN if it does not: it may have moved."""
         if first > 0:
             return float(self.reference[first - 1]) if rows_before >= _CONSTANT_ROWS else math.nan
-        smallest = _SMALLEST_FIRST_STEP * self._span
+        smallest = _SMALLEST_FIRST_STEP * (self._highest - self._lowest)
         if smallest == 0.0:
             smallest = _SMALLEST_LONE_STEP * max(abs(float(self.reference[0])), self.variable.nominal)
         return float(self.values[0]) if abs(self._first_step) >= smallest else math.nan
@@ -148,16 +153,16 @@ class Response(SampledSignal):
         y = self.values
         if not len(y):
             return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
-        at_rest = _AT_REST * float(np.maximum(self._farthest, np.abs(y).max()))
+        at_rest = _AT_REST * max(self._farthest, float(np.abs(y).max()))
         deviation = self._deviation
         return Tracking(
             output=self.variable.name,
             travel=self._travel(at_rest),
-            room=float(np.mean(self.limits[1] - self.limits[0])),
+            room=_mean(self.limits[1] - self.limits[0]),
             nominal=max(self.variable.nominal, self._farthest),
             deviation=deviation if deviation > at_rest else 0.0,
             scatter=_scatter(y),
-            mean_abs_error=float(np.abs(self.difference).mean()),
+            mean_abs_error=_mean(np.abs(self.difference)),
             factor=abs(self.variable.shown_in.factor),
             ends=tuple(self._ends) or (self._end(self._last_fifth),),
             width=self._width,
@@ -166,8 +171,9 @@ class Response(SampledSignal):
 
     def _travel(self, at_rest: float) -> float:
         """Return how far the reference moves, where the output begins included."""
-        travel = float(np.ptp(np.append(self.reference, self.values[0])))
-        return travel if self._span > 0.0 or travel > at_rest else 0.0
+        first = float(self.values[0])
+        travel = max(self._highest, first) - min(self._lowest, first)
+        return travel if self._highest > self._lowest or travel > at_rest else 0.0
 
     @property
     def _deviation(self) -> float:
@@ -235,7 +241,7 @@ class BandResponse(Response):
 
     @property
     def _width(self) -> float | None:
-        return float(np.mean(self.band[:, 1] - self.band[:, 0]))
+        return _mean(self.band[:, 1] - self.band[:, 0])
 
     @property
     def _ends(self) -> list["EndWindow"]:
@@ -307,7 +313,7 @@ class EndWindow:
     ) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
         window = error[rows]
-        mean, magnitude = abs(float(window.mean())), float(np.abs(window).mean())
+        mean, magnitude = abs(_mean(window)), _mean(np.abs(window))
         return cls(len(window), mean, magnitude, step, settling, disturbed)
 
 
@@ -423,7 +429,7 @@ class Stretch:
     @cached_property
     def settled_error(self) -> float:
         """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        return abs(float(self.response.difference[self.last_fifth].mean()))
+        return abs(_mean(self.response.difference[self.last_fifth]))
 
     @property
     def overshoot(self) -> float:
@@ -671,3 +677,7 @@ class WholeRun:
 
 def _total(values: FloatArray) -> float:
     return float(values.sum()) if values.size else math.nan
+
+
+def _mean(values: FloatArray | float) -> float:
+    return values if isinstance(values, float) else float(np.add.reduce(values) / len(values))

@@ -85,7 +85,8 @@ def references_beyond_limits(
 
 
 def _still(variables: tuple[Variable, ...], values: FloatArray) -> list[Variable]:
-    moving = np.ptp(values, axis=0) > _STANDSTILL * np.abs(values).max(axis=0, initial=0.0)
+    ends = zip(values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)
+    moving = (high - low > _STANDSTILL * max(-low, high) for low, high in ends)
     return [variable for variable, moves in zip(variables, moving, strict=True) if not moves]
 
 
