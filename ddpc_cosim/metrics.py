@@ -429,7 +429,8 @@ def _percentile(values: FloatArray, percent: float) -> float:
         return math.nan
     place = (values.size - 1) * (percent / 100)
     below = int(place)
-    lower, upper = np.sort(values)[[below, min(below + 1, values.size - 1)]].tolist()
+    places = [below, min(below + 1, values.size - 1)]
+    lower, upper = np.partition(values, places)[places].tolist()
     part, difference = place - below, upper - lower
     between: float = lower + difference * part if part < 0.5 else upper - difference * (1 - part)
     return between
@@ -451,6 +452,12 @@ def _settled_share(response: Response) -> float:
 
 def _overshoot(response: Response) -> float:
     return 100 * _largest(np.array([step.overshoot for step in response.steps]))
+
+
+def _time_at_bounds(actuation: Actuation) -> float:
+    """Return it in s; it is not known where one of the inputs is not."""
+    known = np.isfinite(actuation.values).all()
+    return float(np.count_nonzero(actuation.at_limit)) * actuation.sampling_time if known else math.nan
 
 
 def _limits_kept(response: Response) -> float:
@@ -667,7 +674,7 @@ METRICS: dict[str, _Any] = {
         Actuation,
         "Time in saturation",
         "time of samples with the input at a limit",
-        lambda a: float(np.where(np.isfinite(a.values), a.at_limit, np.nan).sum()) * a.sampling_time,
+        _time_at_bounds,
         "s",
         better="",
         shown=(),

@@ -99,7 +99,7 @@ class Response(SampledSignal):
     @cached_property
     def stretches(self) -> list["Stretch"]:
         """The stretches of constant reference whose windows are long enough."""
-        edges = [0, *(np.flatnonzero(self._moves) + 1).tolist(), len(self.reference)]
+        edges = [0, *(self._moves.nonzero()[0] + 1).tolist(), len(self.reference)]
         rows = [end - first for first, end in pairwise(edges)]
         return [
             Stretch(self, first, end - self.preview, self._value_before(first, rows[n - 1] if n else 0))

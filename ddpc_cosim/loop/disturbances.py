@@ -136,6 +136,8 @@ class ActingDisturbances:
 
     def signals(self, *, in_experiment: bool, foretold: bool) -> dict[str, Reference]:
         """Return the courses of the inputs with forecasts from them, or without, by what errors call them."""
+        if not self.inputs:
+            return {}
         courses = dict(self.conditions.inputs)
         if in_experiment:
             courses |= self.conditions.recorded_inputs

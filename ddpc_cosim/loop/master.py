@@ -751,10 +751,10 @@ def _experiment(
     time = begin + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
     if stabiliser is not None:
-        wish, limits = setup.wish(wanted, visible), setup.limits(visible)
+        wish, limits, stream = setup.wish(wanted, visible), setup.limits(visible), STABILISER_STREAM
     else:  # an excitation alone follows no reference, and is applied beyond the limits of the loop too
-        wish, limits, wanted = setup.no_wish(visible), setup.no_limits(visible), {}
-    loop = setup.loop(STABILISER_STREAM, horizon, limits, is_band=wish.is_band)
+        wish, limits, stream, wanted = setup.no_wish(visible), setup.no_limits(visible), None, {}
+    loop = setup.loop(stream, horizon, limits, is_band=wish.is_band)
     start_controller(exciting, loop)
     plant.plan(setup.communication_step, begin + samples * sampling_time + onwards)
     y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)

@@ -49,6 +49,7 @@ EngineName = Literal["python", "compiled"]
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
 # forecasts of disturbances.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM, WARM_UP_STREAM = 0, 1, 2, 11
+_NEVER_DRAWN = np.random.default_rng(0)
 
 
 def check_sampling_time(sampling_time: float) -> None:
@@ -614,7 +615,7 @@ class LoopSetup:
 
     def loop(
         self,
-        stream: int,
+        stream: int | None,
         horizon: int,
         limits: Limits,
         recording: Recording | None = None,
@@ -623,7 +624,10 @@ class LoopSetup:
         continues: bool = False,
         past: Recording | None = None,
     ) -> Loop:
-        """Return what a controller of a horizon learns; raise DataError for a recording of another loop."""
+        """Return what a controller of a horizon learns; raise DataError for a recording of another loop.
+
+        Without a stream it is one that draws no random numbers.
+        """
         if recording is not None:
             self._check_recording(recording)
         return Loop(
@@ -633,7 +637,7 @@ class LoopSetup:
             measurements=self.measurements,
             bounds=limits.bounds,
             recording=recording and self._protected(recording),
-            rng=self._stream(stream),
+            rng=_NEVER_DRAWN if stream is None else self._stream(stream),
             preview=self.preview_of(horizon),
             continues_recording=continues,
             disturbances=self.disturbances.told,

@@ -10,7 +10,7 @@ import stat
 import weakref
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from itertools import repeat
+from itertools import accumulate, pairwise, repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -111,11 +111,12 @@ class RowStore:
         self._memory: Any = _mapped(path, size) if path and mapped else np.zeros(size, np.uint8).data
         head = memoryview(self._memory)[:_HEADER]
         self._numbers_of, self._times, self._call = head.cast("q"), head.cast("d"), head[_CALL]
-        tables, start = [], _HEADER
-        for count in columns:
-            table = np.frombuffer(self._memory, np.float64, samples * count, start)
-            tables.append(table.reshape(samples, count))
-            start += 8 * samples * count
+        ends = [samples * count for count in accumulate(columns, initial=0)]
+        numbers = np.frombuffer(self._memory, np.float64, ends[-1], _HEADER)
+        tables = [
+            numbers[start:end].reshape(samples, count)
+            for count, (start, end) in zip(columns, pairwise(ends), strict=True)
+        ]
         self.reference, self.y, self.measured, self.u, self.applied, solve_time, status, *further = tables
         self.more = {
             name: table.reshape(samples, -1, 2) if name in PAIRS else table
@@ -124,7 +125,7 @@ class RowStore:
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
         self._info_path = info_path(path) if path else None
-        self._text_memory = memoryview(self._memory)[start:]
+        self._text_memory = memoryview(self._memory)[_HEADER + numbers.nbytes :]
         self._read_texts()
 
     def _read_texts(self) -> None:
