@@ -103,10 +103,10 @@ class Recording:
             raise DataError(
                 f"recording: {', '.join(_TABLES[:-1])} and {_TABLES[-1]} need shapes {needed}; got {shapes}"
             )
-        for name in shapes:
-            rows, columns = np.nonzero(~np.isfinite(getattr(self, name)))
-            if rows.size:
-                raise DataError(f"recording: {name}[{rows[0]}, {columns[0]}] is not finite")
+        for name, shape in shapes.items():
+            if shape[1] and not (is_finite := np.isfinite(getattr(self, name))).all():
+                row, column = np.argwhere(~is_finite)[0]
+                raise DataError(f"recording: {name}[{row}, {column}] is not finite")
         if any(first >= last for first, last in pairwise((0, *self.seams, len(self)))) and self.seams:
             raise DataError(
                 f"recording: seams = {self.seams}; needed: rows from 1 to {len(self) - 1}, in order"

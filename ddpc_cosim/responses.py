@@ -76,9 +76,14 @@ class Response(SampledSignal):
     disturbed: NDArray[np.bool_] | None = None
 
     @cached_property
+    def difference(self) -> FloatArray:
+        """Reference minus output, in its unit."""
+        return self.reference - self.values
+
+    @cached_property
     def error(self) -> FloatArray:
         """Reference minus output, in the display unit."""
-        return (self.reference - self.values) * self.variable.shown_in.factor
+        return self.difference * self.variable.shown_in.factor
 
     @cached_property
     def magnitude(self) -> FloatArray:
@@ -94,7 +99,7 @@ class Response(SampledSignal):
     @cached_property
     def stretches(self) -> list["Stretch"]:
         """The stretches of constant reference whose windows are long enough."""
-        edges = [0, *(np.flatnonzero(self._moves) + 1).tolist(), len(self.reference)]
+        edges = [0, *(self._moves.nonzero()[0] + 1).tolist(), len(self.reference)]
         rows = [end - first for first, end in pairwise(edges)]
         return [
             Stretch(self, first, end - self.preview, self._value_before(first, rows[n - 1] if n else 0))
@@ -111,8 +116,23 @@ class Response(SampledSignal):
     def _moves(self) -> NDArray[np.bool_]:
         """Whether the reference changes from row to row, by more than a rounding error."""
         r = self.reference
-        smallest = 1e-9 * np.ptp(r) + 1e-12 * np.abs(r).max() if r.size else 0.0
-        return np.abs(np.diff(r)) > smallest
+        smallest = 1e-9 * (self._highest - self._lowest) + 1e-12 * self._farthest if r.size else 0.0
+        return np.abs(r[1:] - r[:-1]) > smallest
+
+    @cached_property
+    def _lowest(self) -> float:
+        """The smallest value of the reference."""
+        return float(np.minimum.reduce(self.reference))
+
+    @cached_property
+    def _highest(self) -> float:
+        """The largest one."""
+        return float(np.maximum.reduce(self.reference))
+
+    @property
+    def _farthest(self) -> float:
+        """The largest magnitude."""
+        return max(abs(self._lowest), abs(self._highest))
 
     @property
     def _first_step(self) -> float:
@@ -122,7 +142,7 @@ class Response(SampledSignal):
         """Return from which value the reference steps at a row, NaN if it does not: it may have moved."""
         if first > 0:
             return float(self.reference[first - 1]) if rows_before >= _CONSTANT_ROWS else math.nan
-        smallest = _SMALLEST_FIRST_STEP * float(np.ptp(self.reference))
+        smallest = _SMALLEST_FIRST_STEP * (self._highest - self._lowest)
         if smallest == 0.0:
             smallest = _SMALLEST_LONE_STEP * max(abs(float(self.reference[0])), self.variable.nominal)
         return float(self.values[0]) if abs(self._first_step) >= smallest else math.nan
@@ -130,19 +150,19 @@ class Response(SampledSignal):
     @property
     def tracking(self) -> "Tracking":
         """What the run is judged by, as far as this output says."""
-        r, y = self.reference, self.values
+        y = self.values
         if not len(y):
             return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
-        at_rest = _AT_REST * float(np.abs(np.append(r, y)).max())
+        at_rest = _AT_REST * max(self._farthest, float(np.abs(y).max()))
         deviation = self._deviation
         return Tracking(
             output=self.variable.name,
             travel=self._travel(at_rest),
-            room=float(np.mean(self.limits[1] - self.limits[0])),
-            nominal=max(self.variable.nominal, float(np.abs(r).max())),
+            room=_mean(self.limits[1] - self.limits[0]),
+            nominal=max(self.variable.nominal, self._farthest),
             deviation=deviation if deviation > at_rest else 0.0,
             scatter=_scatter(y),
-            mean_abs_error=float(np.abs(r - y).mean()),
+            mean_abs_error=_mean(np.abs(self.difference)),
             factor=abs(self.variable.shown_in.factor),
             ends=tuple(self._ends) or (self._end(self._last_fifth),),
             width=self._width,
@@ -151,8 +171,9 @@ class Response(SampledSignal):
 
     def _travel(self, at_rest: float) -> float:
         """Return how far the reference moves, where the output begins included."""
-        travel = float(np.ptp(np.append(self.reference, self.values[0])))
-        return travel if np.ptp(self.reference) > 0.0 or travel > at_rest else 0.0
+        first = float(self.values[0])
+        travel = max(self._highest, first) - min(self._lowest, first)
+        return travel if self._highest > self._lowest or travel > at_rest else 0.0
 
     @property
     def _deviation(self) -> float:
@@ -181,7 +202,7 @@ class Response(SampledSignal):
 
     def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
         moves = self.disturbed is not None and bool(self.disturbed[rows].any())
-        return EndWindow.of(self.reference - self.values, rows, step, settling=settling, disturbed=moves)
+        return EndWindow.of(self.difference, rows, step, settling=settling, disturbed=moves)
 
 
 @dataclass(frozen=True)
@@ -216,11 +237,11 @@ class BandResponse(Response):
 
     @property
     def _deviation(self) -> float:
-        return float(np.abs(self.reference - self.values).max())
+        return float(np.abs(self.difference).max())
 
     @property
     def _width(self) -> float | None:
-        return float(np.mean(self.band[:, 1] - self.band[:, 0]))
+        return _mean(self.band[:, 1] - self.band[:, 0])
 
     @property
     def _ends(self) -> list["EndWindow"]:
@@ -236,7 +257,7 @@ class BandResponse(Response):
         return float(max(upper - lower, lower - upper_before, lower_before - upper))
 
     def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
-        return EndWindow.of(np.abs(self.reference - self.values), rows, step, settling=settling)
+        return EndWindow.of(np.abs(self.difference), rows, step, settling=settling)
 
 
 def _scatter(y: FloatArray) -> float:
@@ -245,7 +266,8 @@ def _scatter(y: FloatArray) -> float:
     if len(y) < _FEWEST_FORETOLD or not 0.0 < size < math.inf:
         return 0.0
     x = (y - y[0]) / size
-    before = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])
+    before = np.ones((len(x) - 2, 3))
+    before[:, 0], before[:, 1] = x[1:-1], x[:-2]
     missed = np.sort(np.abs(x[2:] - before @ np.linalg.lstsq(before, x[2:])[0]))
     # Steps of a reference or of a disturbance are among the largest: they do not scatter.
     kept = missed[: len(missed) - math.ceil(_TRIMMED * len(missed))]
@@ -291,7 +313,7 @@ class EndWindow:
     ) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
         window = error[rows]
-        mean, magnitude = abs(float(window.mean())), float(np.abs(window).mean())
+        mean, magnitude = abs(_mean(window)), _mean(np.abs(window))
         return cls(len(window), mean, magnitude, step, settling, disturbed)
 
 
@@ -404,27 +426,26 @@ class Stretch:
         """The last fifth of the window."""
         return slice(self.end - round(_SETTLED_FRACTION * (self.end - self.first)), self.end)
 
-    @property
+    @cached_property
     def settled_error(self) -> float:
         """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        response = self.response
-        return EndWindow.of(response.reference - response.values, self.last_fifth).error
+        return abs(_mean(self.response.difference[self.last_fifth]))
 
     @property
     def overshoot(self) -> float:
         """How far the output goes beyond the new value, as a fraction of the step."""
-        return max(float(self._path(self.first).max()) - 1.0, 0.0)
+        return max(float(self._after.max()) - 1.0, 0.0)
 
     @property
     def rise_samples(self) -> float:
         """Samples from the step until the output is first at 90 % of it, as those of the settling time."""
-        there = np.flatnonzero(self._path(self.first) >= _RISEN)
+        there = np.flatnonzero(self._after >= _RISEN)
         return float(there[0]) if there.size else math.nan
 
     @property
     def settling_samples(self) -> float:
         """Samples from the step until the output is within 5 % of it for the rest of the window."""
-        outside = np.flatnonzero(np.abs(self._path(self.first) - 1.0) > _SETTLING_BAND)
+        outside = np.flatnonzero(np.abs(self._after - 1.0) > _SETTLING_BAND)
         after = int(outside[-1]) + 1 if outside.size else 0
         return float(after) if after < self.end - self.first else math.nan
 
@@ -438,6 +459,11 @@ class Stretch:
         if self.first == 0 or not at_rest.size or at_rest[0] > 0:
             return math.nan
         return float(max(self.first - start - int(at_rest[-1]) - 1, 0))
+
+    @cached_property
+    def _after(self) -> FloatArray:
+        """The path from the step on."""
+        return self._path(self.first)
 
     def _path(self, start: int) -> FloatArray:
         """Return the output up to the window's end as a fraction of the step: 0 before it, 1 after it."""
@@ -456,13 +482,20 @@ class Actuation(SampledSignal):
     @property
     def rest(self) -> float:
         """Its value at rest, as far as the limits of the first sample allow, in its unit."""
-        lower, upper = (float(np.ravel(limit)[0]) for limit in self.limits)
-        return float(np.clip(self.variable.start, lower, upper))
+        lower, upper = (limit if isinstance(limit, float) else float(limit[0]) for limit in self.limits)
+        return min(max(self.variable.start, lower), upper)
+
+    @cached_property
+    def moves(self) -> FloatArray:
+        """The change at every sample, the first one from rest, in its unit."""
+        before = np.empty_like(self.values)
+        before[:1], before[1:] = self.rest, self.values[:-1]
+        return self.values - before
 
     @cached_property
     def change(self) -> FloatArray:
         """Magnitude of the change at every sample, the first one from rest, in the display unit."""
-        return np.abs(np.diff(self.values, prepend=self.rest)) * abs(self.variable.shown_in.factor)
+        return np.abs(self.moves) * abs(self.variable.shown_in.factor)
 
     @cached_property
     def at_limit(self) -> NDArray[np.bool_]:
@@ -633,7 +666,7 @@ class WholeRun:
         squares = {
             "outputs": {y.variable.name: (y.reference - y.values) ** 2 for y in self.responses},
             "inputs": {u.variable.name: (u.values - u.rest) ** 2 for u in self.actuations},
-            "changes": {u.variable.name: np.diff(u.values, prepend=u.rest) ** 2 for u in self.actuations},
+            "changes": {u.variable.name: u.moves**2 for u in self.actuations},
         }
         return sum(
             weight * _total(squares[kind][name])
@@ -644,3 +677,7 @@ class WholeRun:
 
 def _total(values: FloatArray) -> float:
     return float(values.sum()) if values.size else math.nan
+
+
+def _mean(values: FloatArray | float) -> float:
+    return values if isinstance(values, float) else float(np.add.reduce(values) / len(values))

@@ -177,10 +177,13 @@ class _WatchedGenerator(np.random.Generator):
 
 def _are_same(value: Any, other: Any) -> bool:
     """Whether two loops, or what they consist of, are the same to a controller, random numbers aside."""
+    if value is other:
+        return True
     if isinstance(value, np.ndarray):
         return isinstance(other, np.ndarray) and np.array_equal(value, other)
     if is_dataclass(value) and type(value) is type(other):
-        names_of = (field.name for field in fields(value) if field.name != "rng")
+        # From the last one on: a recording, by which loops of a study differ, stands behind what they share.
+        names_of = (field.name for field in reversed(fields(value)) if field.name != "rng")
         return all(_are_same(getattr(value, name), getattr(other, name)) for name in names_of)
     return bool(value == other)
 
@@ -316,22 +319,20 @@ class CompiledRun:
         self._further.take(begin, progress.rows)
         if isinstance(controller := self._run.controller, ExcitingController):
             controller.fallbacks += int(np.count_nonzero(self._status[begin : progress.rows]))
-        store.take(begin, progress.rows, self._texts(self._status[begin : progress.rows]))
+        store.take(begin, progress.rows, self._status[begin : progress.rows], self._words)
         if ended != _DONE:
             require_finite(self.plant_outputs, plant)
         return self.plant_outputs.copy()
 
-    def _texts(self, statuses: NDArray[np.uint32]) -> list[str]:
-        """Return the words of statuses."""
+    def _words(self, status: int) -> str:
+        """Return the words of a status."""
         known = {**self._code.statuses, _OLDER: HELD}
-        words = {
-            status: "; ".join(text for bit, text in known.items() if status & bit)
-            for status in set(statuses.tolist())
-        }
-        return [words[status] or OK for status in statuses.tolist()]
+        return "; ".join(text for bit, text in known.items() if status & bit) or OK
 
-    def _effects(self, name: str, effects: Sequence[Condition]) -> dict[str, int]:
+    def _effects(self, name: str, effects: Sequence[Condition]) -> dict[str, int | None]:
         """Return the members of a list of what conditions do to signals."""
+        if not effects:
+            return {name: None, f"n_{name}": 0}
         numbers = {all_conditions()[name]: number for name, number in effect_numbers().items()}
         listed = []
         for effect in effects:
@@ -347,7 +348,7 @@ class CompiledRun:
 
     def _address(self, values: Any, kind: type[Any] = np.float64) -> int | None:
         """Return the address of values, in memory that stays as long as the run; None of none."""
-        if values is None:
+        if values is None or not len(values):
             return None
         table = np.ascontiguousarray(values, dtype=kind)
         self._keep.append(table)

@@ -231,9 +231,10 @@ def changed_inputs(conditions: Conditions, inputs: Sequence[Variable]) -> tuple[
         All inputs of the plant.
     """
     changed = {*conditions.disturbances, *conditions.inputs}
-    for key, kind in all_conditions().items():
+    for key, values in conditions.effects.items():
+        kind = all_conditions()[key]
         if "actuator" in kind.places:
-            changed |= {name for name, value in conditions.of(key).items() if value != kind.neutral}
+            changed |= {name for name, value in values.items() if value != kind.neutral}
     return tuple(variable for variable in inputs if variable.name in changed)
 
 
@@ -243,9 +244,10 @@ def _effects(
     """Return what is done to signals in a place, in its order; ``setup``: the sampling time and the seed."""
     effects = []
     for key, kind in all_conditions().items():
-        given = conditions.of(key)
+        if not (given := conditions.of(key)) or place not in kind.places:
+            continue
         values = np.array([float(given.get(name, kind.neutral)) for name in signals])
-        if place in kind.places and (values != kind.neutral).any():
+        if (values != kind.neutral).any():
             effects.append(kind(ConditionSetup(place, signals, values, *setup)))
     return effects
 

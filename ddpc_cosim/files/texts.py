@@ -106,4 +106,6 @@ def recorded(text: object) -> str:
         words = str(text)
     except (Exception, SystemExit) as error:
         words = f"{type(text).__name__} without words: they raise {type(error).__name__}"
+    if words.isascii() and words.isprintable() and len(words) <= _LONGEST_RECORDED:  # as nearly all are
+        return words
     return printable(encodable(words), _LONGEST_RECORDED, keep="\n")

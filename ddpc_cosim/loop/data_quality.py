@@ -85,7 +85,8 @@ def references_beyond_limits(
 
 
 def _still(variables: tuple[Variable, ...], values: FloatArray) -> list[Variable]:
-    moving = np.ptp(values, axis=0) > _STANDSTILL * np.abs(values).max(axis=0, initial=0.0)
+    ends = zip(values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)
+    moving = (high - low > _STANDSTILL * max(-low, high) for low, high in ends)
     return [variable for variable, moves in zip(variables, moving, strict=True) if not moves]
 
 
@@ -100,11 +101,11 @@ def _far_references(loop: Loop, way: FloatArray, size: FloatArray) -> list[str]:
 
 def _faint_inputs(loop: Loop, u: FloatArray, way: FloatArray) -> list[str]:
     """Faint against its limits is an input only where the outputs did not get to the reference with it."""
+    if not (way > _BEYOND).any():
+        return []
     bounds = loop.bounds
     half = bounds.u_max / 2 - bounds.u_min / 2
     size = u.std(axis=0)
-    if not (way > _BEYOND).any():
-        return []
     return [
         f'the recorded input "{variable.name}" moves by {_shown(variable, rms)} (root mean square about its '
         f"mean), {100 * rms / room:.2g} % of half its range: record with a larger excitation"

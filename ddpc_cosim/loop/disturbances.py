@@ -136,6 +136,8 @@ class ActingDisturbances:
 
     def signals(self, *, in_experiment: bool, foretold: bool) -> dict[str, Reference]:
         """Return the courses of the inputs with forecasts from them, or without, by what errors call them."""
+        if not self.inputs:
+            return {}
         courses = dict(self.conditions.inputs)
         if in_experiment:
             courses |= self.conditions.recorded_inputs
@@ -218,6 +220,8 @@ class ActingDisturbances:
         is_before : bool
             It is an experiment or a warm-up, which files of forecasts need not tell: there they are not used.
         """
+        if not self.told:
+            return Expected((), (), np.empty((first + len(time), 0)), first, samples)
         times = RunTimes(float(time[0]), self._sampling_time, samples)
         ahead = len(time) - samples
         longest = ahead if self._forecast_horizon is None else self._forecast_horizon

@@ -487,7 +487,7 @@ def cosimulate(
     warnings = recording_warnings(loop, wish.reference) if learns else ()
     warnings += controller_warnings(controller)
     warnings += () if isinstance(controller, PlantControl) else unknown
-    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), store)
+    rows = _Rows(setup, time[:samples], wanted, store)
     if not first:
         setup.start(whole, ahead=later, continues=continue_recording)
     if conditions is not None and conditions.loses:
@@ -705,7 +705,7 @@ def _warm_up(
     if learns_from_recording(controller):
         raise ConfigError(f"warm_up_controller: {type(controller).__name__} learns from a recording itself")
     start_controller(controller, loop)
-    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
+    rows = _Rows(setup, time[:samples], wanted, keeps_seen=True)
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     y_plant = _run_before(setup, controller, loop, rows, y_plant, "warm-up")
@@ -751,14 +751,14 @@ def _experiment(
     time = begin + np.arange(samples + horizon, dtype=np.float64) * sampling_time
     visible = time[: samples + setup.preview_of(horizon)]
     if stabiliser is not None:
-        wish, limits = setup.wish(wanted, visible), setup.limits(visible)
+        wish, limits, stream = setup.wish(wanted, visible), setup.limits(visible), STABILISER_STREAM
     else:  # an excitation alone follows no reference, and is applied beyond the limits of the loop too
-        wish, limits, wanted = setup.no_wish(visible), setup.no_limits(visible), {}
-    loop = setup.loop(STABILISER_STREAM, horizon, limits, is_band=wish.is_band)
+        wish, limits, stream, wanted = setup.no_wish(visible), setup.no_limits(visible), None, {}
+    loop = setup.loop(stream, horizon, limits, is_band=wish.is_band)
     start_controller(exciting, loop)
     plant.plan(setup.communication_step, begin + samples * sampling_time + onwards)
     y_plant = reset_plant(plant, {**(parameters or {}), **setup.switched(exciting)} or parameters, begin)
-    rows = _Rows(setup, time[:samples], setup.table_widths(wanted), keeps_seen=True)
+    rows = _Rows(setup, time[:samples], wanted, keeps_seen=True)
     setup.start(time[: samples + later], ahead=later, in_experiment=True)
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
@@ -802,8 +802,8 @@ class _Rows:
         The loop.
     time : array, shape (K,)
         The times of its samples [s].
-    widths : mapping of str to int
-        Columns of the further tables.
+    wanted : mapping of str to (Reference or Band)
+        What is wanted of the controlled outputs.
     store : RowStore, optional
         Where they are written; default: in memory.
     keeps_seen : bool
@@ -814,16 +814,17 @@ class _Rows:
         self,
         setup: LoopSetup,
         time: FloatArray,
-        widths: Mapping[str, int],
+        wanted: Wanted,
         store: RowStore | None = None,
         *,
         keeps_seen: bool = False,
     ) -> None:
         self.time, self._setup = time, setup
-        columns = len(setup.outputs), len(setup.measurements), len(setup.inputs)
-        self.store = store or RowStore(
-            len(time), *columns, changed_inputs=len(setup.changed_inputs), more=widths
-        )
+        if store is None:
+            columns = len(setup.outputs), len(setup.measurements), len(setup.inputs)
+            more, changed = setup.table_widths(wanted), len(setup.changed_inputs)
+            store = RowStore(len(time), *columns, changed_inputs=changed, more=more)
+        self.store = store
         self._seen: list[tuple[FloatArray, FloatArray]] | None = [] if keeps_seen else None
         self._elsewhere: tuple[FloatArray | None, FloatArray] = None, np.empty((0, 0))
         # Before the run there is nothing to monitor.
@@ -1020,15 +1021,16 @@ def _run(
     pending, inputs = deque(sorted(events, key=lambda event: event.time)), len(setup.inputs)
     require_finite(y_plant, plant)
     elsewhere = engine(rows.run(controller, loop, y_plant, first)) if engine else None
-    end, steps, controls_itself = 0, setup.substeps, isinstance(controller, PlantControl)
-    for k, time in enumerate(rows.time.tolist()):
-        if k < end:  # another engine has run it
-            continue
+    steps, controls_itself = setup.substeps, isinstance(controller, PlantControl)
+    times, k = rows.time.tolist(), 0
+    while k <= last:
+        time = times[k]
         while pending and pending[0].time <= time + EARLY * setup.sampling_time:
             set_plant_parameters(plant, pending.popleft().parameters, time)
         if elsewhere is not None:
-            end = _rows_before(pending[0].time if pending else inf, k, rows, setup.sampling_time)
+            end = _rows_before(pending[0].time, k, rows, setup.sampling_time) if pending else last + 1
             y_plant = elsewhere.advance(k, end, hold_last=hold_last or end <= last)
+            k = end
             continue
         sample, measured = rows.begin(k, first, y_plant)
         decision = yield controller, sample, inputs
@@ -1039,6 +1041,7 @@ def _run(
                 require_finite(y_plant, plant)
                 if i + 1 < steps:
                     rows.write_between(k, i, y_plant)
+        k += 1
     return y_plant
 
 

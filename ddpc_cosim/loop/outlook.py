@@ -115,7 +115,8 @@ class Wish(NamedTuple):
             raise ConfigError(faults)
         is_band = np.array([isinstance(wanted[variable.name], Band) for variable in outputs], dtype=bool)
         reference = band[..., 0].copy()
-        reference[:, is_band] = band[:, is_band].mean(axis=-1)
+        if is_band.any():
+            reference[:, is_band] = band[:, is_band].mean(axis=-1)
         for table in (band, reference):
             table.setflags(write=False)  # controllers are handed views of it
         return cls(reference, band, is_band)
@@ -181,7 +182,9 @@ class Limits(NamedTuple):
         if faults:
             raise ConfigError(faults)
         table.setflags(write=False)
-        low, high = table[..., 0].min(axis=0), table[..., 1].max(axis=0)
+        low, high = table[0].T.copy()
+        if moving:
+            low, high = table[..., 0].min(axis=0), table[..., 1].max(axis=0)
         for array in (low, high):
             array.setflags(write=False)  # the master clips at what controllers are shown
         return cls(table, Bounds(low[:inputs], high[:inputs], low[inputs:], high[inputs:]), tuple(moving))
@@ -310,7 +313,7 @@ class Outlook:
         self._input_limits, self._output_limits = limits.table[:, :inputs], limits.table[:, inputs:]
         if limits.moving:
             self._input_limits, self._output_limits = self._input_limits.copy(), self._output_limits.copy()
-        self._inputs_move = bool((self._input_limits != self._input_limits[0]).any())
+        self._inputs_move = bool(limits.moving and (self._input_limits != self._input_limits[0]).any())
         at_first = slice(0, 1 + horizon) if self._sees_all else self._known
         self._fixed_limits = None if limits.moving else self._limits(at_first)
         secret = np.array([not charge.known for charge in charges], dtype=bool)

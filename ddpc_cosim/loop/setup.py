@@ -49,6 +49,7 @@ EngineName = Literal["python", "compiled"]
 # Which stream of a seed serves which purpose; a new one gets a new number. From 3 to 9: conditions; 10:
 # forecasts of disturbances.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM, WARM_UP_STREAM = 0, 1, 2, 11
+_NEVER_DRAWN = np.random.default_rng(0)
 
 
 def check_sampling_time(sampling_time: float) -> None:
@@ -357,6 +358,7 @@ class LoopSetup:
         between = intersample_signals(self.substeps, controlled, prices or {}, self._monitors, given)
         self.intersample = np.array([available.index(name) for name in between], dtype=np.intp)
         self._check_conditions(conditions)
+        self.rest = self._resting()
         self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
         deviation = self._deviations(noise.standard_deviation if noise else {})
         streams = noise.mixture if noise and noise.mixture else ((seed, 1.0),)
@@ -370,13 +372,11 @@ class LoopSetup:
         """How far the plant is advanced at once [s]."""
         return self.sampling_time / self.substeps
 
-    @property
-    def rest(self) -> FloatArray:
-        """Where the driven inputs are before a run, shape (m,)."""
+    def _resting(self) -> FloatArray:
         pairs = [self._given_bounds.get(v.name, (v.min, v.max)) for v in self.inputs]
         low = [-math.inf if isinstance(lower, Reference) else lower for lower, _ in pairs]
         high = [math.inf if isinstance(upper, Reference) else upper for _, upper in pairs]
-        return np.asarray(np.clip([v.start for v in self.inputs], low, high), dtype=np.float64)
+        return np.minimum(np.maximum([v.start for v in self.inputs], low), high, dtype=np.float64)
 
     def limits(self, time: FloatArray) -> Limits:
         """Return the limits of inputs and controlled outputs at times [s], shape (K,)."""
@@ -416,10 +416,11 @@ class LoopSetup:
         return tuple(dict.fromkeys((*self.measurements, *measured)))
 
     def _check_conditions(self, conditions: Conditions) -> None:
-        known = may_have(*map(names, (self.inputs, self.outputs, self._noisy, self.plant.inputs)))
         faults = []
-        for key, (_, signals) in known.items():
-            faults += unknown_names(key, getattr(conditions, key), signals)
+        if conditions.disturbances or conditions.inputs or conditions.effects:
+            known = may_have(*map(names, (self.inputs, self.outputs, self._noisy, self.plant.inputs)))
+            for key, (_, signals) in known.items():
+                faults += unknown_names(key, getattr(conditions, key), signals)
         if not self.inputs and not self._open_loop:
             faults.append("inputs: every input of the plant has a signal; leave one to the controller")
         faults += [
@@ -563,14 +564,15 @@ class LoopSetup:
 
     def no_wish(self, time: FloatArray) -> Wish:
         """Return that nothing is wanted: a reference of zero."""
-        return Wish.over(self.outputs, dict.fromkeys(names(self.outputs), Constant(0.0)), time)
+        band = np.zeros((len(time), len(self.outputs), 2))
+        band.setflags(write=False)
+        return Wish(band[..., 0], band, np.zeros(len(self.outputs), dtype=bool))
 
     def no_limits(self, time: FloatArray) -> Limits:
         """Return that there are no limits."""
         variables = (*self.inputs, *self.outputs)
-        return Limits.over(
-            variables, len(self.inputs), dict.fromkeys(names(variables), (-math.inf, math.inf)), time
-        )
+        none = dict.fromkeys(names(variables), (-math.inf, math.inf))
+        return Limits.over(variables, len(self.inputs), none, time)
 
     def outlook(
         self,
@@ -613,7 +615,7 @@ class LoopSetup:
 
     def loop(
         self,
-        stream: int,
+        stream: int | None,
         horizon: int,
         limits: Limits,
         recording: Recording | None = None,
@@ -622,7 +624,10 @@ class LoopSetup:
         continues: bool = False,
         past: Recording | None = None,
     ) -> Loop:
-        """Return what a controller of a horizon learns; raise DataError for a recording of another loop."""
+        """Return what a controller of a horizon learns; raise DataError for a recording of another loop.
+
+        Without a stream it is one that draws no random numbers.
+        """
         if recording is not None:
             self._check_recording(recording)
         return Loop(
@@ -632,7 +637,7 @@ class LoopSetup:
             measurements=self.measurements,
             bounds=limits.bounds,
             recording=recording and self._protected(recording),
-            rng=self._stream(stream),
+            rng=_NEVER_DRAWN if stream is None else self._stream(stream),
             preview=self.preview_of(horizon),
             continues_recording=continues,
             disturbances=self.disturbances.told,
@@ -662,7 +667,7 @@ class LoopSetup:
             "disturbances": (recording.d.shape[1], len(self.disturbances.declared)),
         }
         faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
-        if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
+        if not abs(recording.sampling_time - self.sampling_time) <= 1e-9 * self.sampling_time:
             faults.append(
                 f"sampling time {shown(recording.sampling_time)}, the loop {shown(self.sampling_time)}"
             )

@@ -241,7 +241,8 @@ class Trace:
     @property
     def failures(self) -> int:
         """Number of samples at which the controller returned a fallback."""
-        return sum(status != OK for status in self.status[: self.decided])
+        decided = self.decided
+        return decided - self.status[:decided].count(OK)
 
     def metrics(self, settings: MetricSettings | None = None) -> dict[str, float]:
         """Return the metrics of :mod:`ddpc_cosim.metrics` by key, in the variables' display units.
@@ -258,9 +259,25 @@ class Trace:
             A metric of a third party fails; its value is NaN.
         """
         settings = settings or MetricSettings(self.preview)
+        return self._metrics(settings, self._responses(settings))
+
+    def tracking(self, settings: MetricSettings | None = None) -> tuple[Tracking, ...]:
+        """Return what the run is judged by, an entry per controlled output; parameters as in :meth:`metrics`.
+
+        Whether it failed depends on what doing nothing comes to, too: in a study,
+        :attr:`ddpc_cosim.CaseResult.failed`.
+        """
+        return _tracking(self._responses(settings or MetricSettings(self.preview)))
+
+    def figures(self, settings: MetricSettings) -> tuple[dict[str, float], tuple[Tracking, ...]]:
+        """Return :meth:`metrics` and :meth:`tracking`, which have much in common."""
+        responses = self._responses(settings)
+        return self._metrics(settings, responses), _tracking(responses)
+
+    def _metrics(self, settings: MetricSettings, responses: Sequence[Response]) -> dict[str, float]:
         rows, h = slice(0, self.held), self.sampling_time
         table = compute_metrics(
-            self._responses(settings),
+            responses,
             [
                 Actuation(variable, self.u[rows, i], self._limits(variable, i, of_input=True), h)
                 for i, variable in enumerate(self.inputs)
@@ -271,16 +288,6 @@ class Trace:
             self._key_figures(settings.key_figures),
         )
         return table | compute_installed_metrics(self)
-
-    def tracking(self, settings: MetricSettings | None = None) -> tuple[Tracking, ...]:
-        """Return what the run is judged by, an entry per controlled output; parameters as in :meth:`metrics`.
-
-        Whether it failed depends on what doing nothing comes to, too: in a study,
-        :attr:`ddpc_cosim.CaseResult.failed`.
-        """
-        settings = settings or MetricSettings(self.preview)
-        with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-            return tuple(response.tracking for response in self._responses(settings))
 
     def _responses(self, settings: MetricSettings) -> list[Response]:
         return [self._response(i, output, settings) for i, output in enumerate(self.outputs)]
@@ -571,3 +578,8 @@ class Trace:
         known = (*self.measurements, *self.outputs, *self.disturbances, *self.changed_inputs, *self.inputs)
         by_name = {variable.name: variable for variable in known}
         return [by_name.get(charge.signal, Variable(charge.signal)) for charge in self.charges]
+
+
+def _tracking(responses: Sequence[Response]) -> tuple[Tracking, ...]:
+    with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
+        return tuple(response.tracking for response in responses)

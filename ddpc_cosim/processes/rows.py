@@ -8,13 +8,15 @@ import mmap
 import os
 import stat
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
+from itertools import accumulate, pairwise, repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddpc_cosim.controller import OK
 from ddpc_cosim.errors import ControllerError
@@ -109,11 +111,12 @@ class RowStore:
         self._memory: Any = _mapped(path, size) if path and mapped else np.zeros(size, np.uint8).data
         head = memoryview(self._memory)[:_HEADER]
         self._numbers_of, self._times, self._call = head.cast("q"), head.cast("d"), head[_CALL]
-        tables, start = [], _HEADER
-        for count in columns:
-            table = np.frombuffer(self._memory, np.float64, samples * count, start)
-            tables.append(table.reshape(samples, count))
-            start += 8 * samples * count
+        ends = [samples * count for count in accumulate(columns, initial=0)]
+        numbers = np.frombuffer(self._memory, np.float64, ends[-1], _HEADER)
+        tables = [
+            numbers[start:end].reshape(samples, count)
+            for count, (start, end) in zip(columns, pairwise(ends), strict=True)
+        ]
         self.reference, self.y, self.measured, self.u, self.applied, solve_time, status, *further = tables
         self.more = {
             name: table.reshape(samples, -1, 2) if name in PAIRS else table
@@ -122,7 +125,7 @@ class RowStore:
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
         self._info_path = info_path(path) if path else None
-        self._text_memory = memoryview(self._memory)[start:]
+        self._text_memory = memoryview(self._memory)[_HEADER + numbers.nbytes :]
         self._read_texts()
 
     def _read_texts(self) -> None:
@@ -193,18 +196,17 @@ class RowStore:
             if name not in self._info:
                 self._add_info(name)
             self._info[name][k] = value
-        if status not in self._texts:
-            self._add(status)
-        self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
+        self.u[k], self._status[k], self.solve_time[k] = u, self._number_of(status), solve_time
         if self.applied.size:
             self.applied[k] = applied
 
-    def take(self, begin: int, end: int, statuses: Sequence[str]) -> None:
-        """Complete rows that have been filled in: from ``begin`` up to and without ``end``."""
-        for status in dict.fromkeys(statuses):
-            if status not in self._texts:
-                self._add(status)
-        self._status[begin:end] = [self._texts[status] for status in statuses]
+    def take(self, begin: int, end: int, statuses: NDArray[np.uint32], words: Callable[[int], str]) -> None:
+        """Complete rows that have been filled in: from ``begin`` up to and without ``end``.
+
+        Their statuses are numbers that ``words`` gives the words of.
+        """
+        for status in dict.fromkeys(statuses.tolist()):
+            self._status[begin:end][statuses == status] = self._number_of(words(status))
         self.solve_time[begin:end] = np.nan
         self._numbers_of[_ROWS] = end
 
@@ -216,7 +218,7 @@ class RowStore:
         tables = {name: getattr(self, name)[:n] for name in numbers}
         tables |= {name: table[:n] for name, table in self.more.items()}
         texts = {number: text for text, number in self._texts.items()}
-        status = tuple(texts.get(number, _NOT_KEPT) for number in self._status[:n].tolist())
+        status = tuple(map(texts.get, self._status[:n].tolist(), repeat(_NOT_KEPT)))
         info = {name: values[:n] for name, values in self._info.items()}
         return {**tables, "status": status, **({"info": info} if info else {})}
 
@@ -248,8 +250,10 @@ class RowStore:
         columns = [np.frombuffer(memory, np.float64, samples, i + _LONGEST_NAME) for i in starts]
         return dict(zip(names, columns, strict=True))
 
-    def _add(self, status: str) -> None:
-        """Remember a status, in a file too as long as there is room for it."""
+    def _number_of(self, status: str) -> int:
+        """Return the number of a status, remembered in a file too as long as there is room for it."""
+        if status in self._texts:
+            return self._texts[status]
         self._texts[status] = len(self._texts)
         text = (status.replace(_END, " ") + _END).encode()
         begin = self._numbers_of[_TEXT_BYTES]
@@ -259,6 +263,7 @@ class RowStore:
             self._numbers_of[_TEXT_BYTES] = end
         else:  # later ones would have other numbers there
             self._text_memory = self._text_memory[:0]
+        return self._texts[status]
 
 
 @lru_cache

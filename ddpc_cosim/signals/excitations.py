@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Integral, Real
+from threading import Lock
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -58,6 +59,8 @@ _TAPS: tuple[tuple[int, ...], ...] = (
 )
 # Which random numbers of a seed serve which kind; those of uniform samples are MATLAB's.
 _PRBS_STREAM, _MULTISINE_STREAM, _CHIRP_STREAM = 1, 2, 3
+# A generator of these takes longer to make, with a state that the system draws, than hundreds of samples do.
+_matlab, _seeded = np.random.RandomState(0), Lock()
 
 
 class Excitation(ABC):
@@ -128,7 +131,7 @@ class _Ranged(Section, Excitation):
             faults.append(f"low ({self.low}) and high ({self.high}) must be finite numbers")
         elif np.ndim(self.low) == np.ndim(self.high) == 1 and np.shape(self.low) != np.shape(self.high):
             faults.append(f"low ({self.low}) and high ({self.high}) need the same length")
-        elif not np.all(np.asarray(self.low) < np.asarray(self.high)):
+        elif not _is_below(self.low, self.high):
             faults.append(f"low ({self.low}) must be below high ({self.high})")
         faults += type_faults(self, float) or self._faults()
         if faults:
@@ -193,8 +196,10 @@ class UniformRandom(_Ranged):
     kind: ClassVar[str] = "uniform"
 
     def _shape(self, inputs: int) -> FloatArray:
-        unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))
-        return np.asarray(2 * unit - 1)
+        with _seeded:
+            _matlab.seed(self.seed)
+            unit = _matlab.random_sample((self.samples, inputs))
+        return 2 * unit - 1
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -542,10 +547,18 @@ def sampling_faults(excitation: Excitation, sampling_time: float) -> list[str]:
 
 
 def _are_finite(values: object) -> bool:
+    if isinstance(values, float):
+        return math.isfinite(values)
     try:
         return bool(np.isfinite(values).all())  # type: ignore[call-overload]
     except (TypeError, ValueError):  # a text, or lists of different lengths
         return False
+
+
+def _is_below(low: float | Sequence[float], high: float | Sequence[float]) -> bool:
+    if isinstance(low, float) and isinstance(high, float):
+        return low < high
+    return bool(np.all(np.asarray(low) < np.asarray(high)))
 
 
 def _sampling_faults(sampling_time: float) -> Iterator[str]:

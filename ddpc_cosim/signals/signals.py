@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_origin
@@ -42,13 +43,20 @@ _NEEDED: dict[object, tuple[str, Callable[[object], bool]]] = {
 
 def type_faults(signal: Any, *kinds: object) -> list[str]:
     """Return what is wrong with the types of a signal's numbers, perhaps of fields of some types only."""
+    of: Any = type(signal)
     return [
-        f"{field.name} = {getattr(signal, field.name)!r} is not possible; needed: {words}"
-        for field in fields(signal)
-        if (kind := _bare(field.type)) in (kinds or _NEEDED)
+        f"{name} = {getattr(signal, name)!r} is not possible; needed: {words}"
+        for name, kind in _typed_fields(of)
+        if not kinds or kind in kinds
         for words, fits in (_NEEDED[kind],)
-        if not fits(getattr(signal, field.name))
+        if not fits(getattr(signal, name))
     ]
+
+
+@cache
+def _typed_fields(of: type[Any]) -> tuple[tuple[str, object], ...]:
+    """Return the fields of a class whose types are looked at, with these."""
+    return tuple((field.name, kind) for field in fields(of) if (kind := _bare(field.type)) in _NEEDED)
 
 
 def _bare(kind: Any) -> Any:

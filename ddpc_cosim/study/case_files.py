@@ -533,9 +533,9 @@ def evaluated(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
     """Return what ``run.json`` says of a run's samples, and what that depends on besides them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        metrics = trace.metrics(settings)
+        metrics, each = trace.figures(settings)
     return {
-        "tracking": [tracking.written() for tracking in trace.tracking(settings)],
+        "tracking": [tracking.written() for tracking in each],
         "metrics": metrics,
         "metric_warnings": [
             recorded(warning.message) for warning in caught if issubclass(warning.category, CosimWarning)
@@ -831,8 +831,8 @@ def _finite(value: Any) -> Any:
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
     if isinstance(value, np.ndarray | np.generic):
         return _finite(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return repr(value)
-    return value if isinstance(value, str | int | float | bool | None) else repr(value)
+    return value if isinstance(value, str | int | bool | None) else repr(value)

@@ -824,11 +824,13 @@ def _arguments(case: Case) -> dict[str, Any]:
 
 def _with_data(case: Case, trace: Trace) -> Trace:
     """Return a trace with what its case says of the data and of its beginning."""
-    provenance = dict(trace.provenance)
+    more: dict[str, Any] = {}
     if case.recording is not None and case.recording.treatments:
-        provenance[LOGGED_DATA] = ", ".join(case.recording.treatments)
-    warnings = (*trace.warnings, *_before_time_0(case, trace))
-    return replace(trace, warnings=warnings, provenance=provenance)
+        treatments = ", ".join(case.recording.treatments)
+        more["provenance"] = trace.provenance | {LOGGED_DATA: treatments}
+    if warnings := (*_before_time_0(case, trace),):
+        more["warnings"] = (*trace.warnings, *warnings)
+    return replace(trace, **more) if more else trace
 
 
 def _before_time_0(case: Case, trace: Trace) -> Iterator[str]:
