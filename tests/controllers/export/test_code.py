@@ -117,6 +117,13 @@ def test_its_footprint_is_what_there_is_to_count(
     assert words in code.sources["controller.h"]
 
 
+def test_what_a_step_works_in_has_places_side_by_side_and_is_zero_at_first() -> None:
+    code = Code()
+    places = [code.memory([1.0]), *code.scratch(2, 0, 3), code.memory([2.0])]
+    assert places == [f"(memory + {place})" for place in (0, 1, 3, 3, 6)]
+    assert code.start.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
+
+
 def test_idle_rests() -> None:
     controller, loop = Idle(), a_loop()
     controller.start(loop)
