@@ -42,7 +42,13 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.export.code import ALL_AHEAD, Code, Exportable
 from ddpc_controllers.models.feedforward import Feedback, Feedforward, identify_feedforward
-from ddpc_controllers.models.identification import choose_lags, fit_arx, never_moved, one_step_errors
+from ddpc_controllers.models.identification import (
+    choose_lags,
+    fit_arx,
+    fit_coefficients,
+    never_moved,
+    one_step_errors,
+)
 from ddpc_controllers.models.virtual_reference import (
     ReferenceModel,
     filtered,
@@ -78,7 +84,10 @@ _STEP = 3
 _ROUNDING = 1e-6
 _UNDECIDED = 3.0
 _FREQUENCIES, _NEAR = np.geomspace(1e-6, np.pi, 1000), np.linspace(-3.0, 3.0, 25)
-_A_FEW = np.exp(1j * _FREQUENCIES[500::10])
+_CIRCLE = np.exp(1j * _FREQUENCIES)
+_A_FEW = _CIRCLE[501::3]
+_INTEGRATOR = _A_FEW / (_A_FEW - 1.0)
+_AT_ONCE = 100
 
 
 class Gains(NamedTuple):
@@ -266,7 +275,9 @@ def _tune_by_simc(recording: Recording, pair: tuple[int, int], wanted: float) ->
     h, (output, chosen) = recording.sampling_time, pair
     model, sampled = fit_second_order(recording, output, chosen)
     first = wanted or _rule_of_thumb(model, h)
-    loop = _with_margin(lambda time: simc(model, h, time), sampled, h, first, bool(wanted), _SLOWEST * first)
+    loop = _with_margin(
+        lambda times: simc(model, h, times), sampled, h, first, bool(wanted), _SLOWEST * first
+    )
     if not (wanted or isfinite(loop.closed_loop_time)):
         raise DataError(
             f"PID: no closed_loop_time up to {_SLOWEST * first:.4g} s gives the loop of output {output} and "
@@ -295,9 +306,11 @@ def _tune_by_virtual_reference(
     lag = -1.0 / max(pole.real for pole in model.poles) if model.poles[0].imag == 0.0 else h
     instrument = noise_free(recording, pair)
 
-    def gains(time: float) -> tuple[float, ...]:
+    def gains(times: FloatArray) -> FloatArray:
+        time = float(times[0])
         integral_time = min(lag, 4.0 * (time + model.delay + h / 2.0))
-        return reference.gains(recording, pair, wanted_loop(time, late, h, lag, integral_time), instrument)
+        loop = wanted_loop(time, late, h, lag, integral_time)
+        return np.array(reference.gains(recording, pair, loop, instrument))[:, np.newaxis]
 
     def instead(why: str) -> _TunedLoop:
         remark = f"PID: loop {output} has the gains of tuning = 'step-test': {why}"
@@ -305,7 +318,7 @@ def _tune_by_virtual_reference(
 
     first = wanted or _rule_of_thumb(model, h)
     try:
-        loop = _with_margin(gains, plant, h, first, bool(wanted), max(first, len(recording) * h), _COARSER)
+        loop = _with_margin(gains, plant, h, first, bool(wanted), max(first, len(recording) * h), _COARSER, 1)
     except DataError as fault:
         return instead(str(fault).removeprefix("PID: "))
     if not isfinite(loop.maximum_sensitivity) or not (wanted or isfinite(loop.closed_loop_time)):
@@ -329,37 +342,49 @@ def _tune_by_virtual_reference(
 
 
 def _with_margin(
-    gains_of: Callable[[float], tuple[float, ...]],
+    gains_of: Callable[[FloatArray], FloatArray],
     plant: PulseTransferFunction,
     h: float,
     first: float,
     keeps_first: bool,
     last: float,
     slower: float = _SLOWER,
+    at_once: int = _AT_ONCE,
 ) -> _TunedLoop:
     """Return the loop with the first closed-loop time that keeps the margin, or with ``first`` itself.
 
-    Its time is infinite where none up to ``last`` keeps it.
+    Its time is infinite where none up to ``last`` keeps it. ``gains_of`` takes so many times ``at_once``.
     """
-    time, gains = first, gains_of(first)
-    slowed, reached = gains, sensitivity(plant, gains, h)
-    is_beyond = reached > _LARGEST_SENSITIVITY
-    response = np.polyval(plant.numerator, _A_FEW) / np.polyval(plant.denominator, _A_FEW)
-    response /= _A_FEW**plant.delay
-    while is_beyond:
-        time *= slower
-        if time > last:
-            time = inf
-            break
-        slowed = gains_of(time)
-        # A few frequencies tell of most that they are beyond it.
-        distance = np.abs(1.0 + response * _response(slowed, h, _A_FEW)).min()
-        is_beyond = distance * _LARGEST_SENSITIVITY < 1.0 or (
-            sensitivity(plant, slowed, h) > _LARGEST_SENSITIVITY
-        )
-    if keeps_first or slowed is gains:
-        return _TunedLoop(gains, reached, time)
-    return _TunedLoop(slowed, sensitivity(plant, slowed, h), time)
+    gains = tuple(gains_of(np.array([first]))[:, 0].tolist())
+    asked = _TunedLoop(gains, sensitivity(plant, gains, h), first)
+    if asked.maximum_sensitivity <= _LARGEST_SENSITIVITY:
+        return asked
+    count = int(log(last / first) / log(slower)) + 1
+    times = np.multiply.accumulate(np.append(first, np.full(count, slower)))[1:]
+    times = times[times <= last]
+    for begin in range(0, len(times), at_once):
+        slowed = gains_of(times[begin : begin + at_once])
+        for i in np.flatnonzero(~_are_beyond(plant, slowed, h)).tolist():
+            time, gains = float(times[begin + i]), tuple(slowed[:, i].tolist())
+            reached = sensitivity(plant, gains, h)
+            if reached <= _LARGEST_SENSITIVITY:
+                kept = asked if keeps_first else _TunedLoop(gains, reached, time)
+                return kept._replace(closed_loop_time=time)
+    return asked._replace(closed_loop_time=inf)
+
+
+def _are_beyond(plant: PulseTransferFunction, gains: FloatArray, h: float) -> NDArray[np.bool_]:
+    """Return which of many gains, shape (4, n), a few frequencies show to be beyond the margin."""
+    kp, ki, kd, filter_time = gains
+    n, d, w = _values(plant.numerator, _A_FEW), _values(plant.denominator, _A_FEW), h * _INTEGRATOR
+    d *= _A_FEW**plant.delay
+    # Open loop and closed loop, D and D + N C with C = K_p + K_i w + K_d / (T_f + w), times T_f + w.
+    factors = np.array([filter_time, np.ones_like(kp), kp * filter_time + kd, kp + ki * filter_time, ki])
+    terms = np.array([d, d * w, n, n * w, n * w**2]).view(np.float64)
+    open_loop, closed_loop = (
+        np.abs((factors[:number].T @ terms[:number]).view(np.complex128)) for number in (2, 5)
+    )
+    return np.asarray((_LARGEST_SENSITIVITY * closed_loop < open_loop).any(axis=1))
 
 
 def _integrates(output: int, model: SecondOrder) -> tuple[str, ...]:
@@ -385,21 +410,30 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
         h [s].
     """
     open_loop, _, closed_loop = _closed(model, gains, sampling_time)
-    poles = np.roots(closed_loop)
+    poles = _roots(closed_loop)
     if np.abs(poles).max() >= 1.0:
         return float("inf")
     # Peaks are as narrow as the poles near them are close to the circle.
     near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
-    z = np.exp(1j * np.append(_FREQUENCIES, near_poles))
-    return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
+    z = np.append(_CIRCLE, np.exp(1j * near_poles))
+    return float(np.abs(_values(open_loop, z) / _values(closed_loop, z)).max())
 
 
-def _response(gains: Sequence[float], h: float, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the frequency response of the controller at points of the unit circle, off 1."""
-    kp, ki, kd, filter_time = gains
-    difference = z - 1.0
-    derivative = kd * difference / ((filter_time + h) * z - filter_time)
-    return np.asarray(kp + h * ki * z / difference + derivative)
+def _values(polynomial: FloatArray, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the values as numpy.polyval does, in place."""
+    values = np.full_like(z, polynomial[0])
+    for coefficient in polynomial[1:].tolist():
+        values *= z
+        values += coefficient
+    return values
+
+
+def _roots(polynomial: FloatArray) -> NDArray[np.complex128]:
+    """Return the roots as numpy.roots does, in half its time: of falling powers, the first not zero."""
+    degree = np.flatnonzero(polynomial)[-1]
+    companion = np.eye(degree, k=-1)
+    companion[:1] = -polynomial[1 : degree + 1] / polynomial[0]
+    return np.append(np.linalg.eigvals(companion), np.zeros(len(polynomial) - 1 - degree))
 
 
 def _closed(
@@ -407,13 +441,14 @@ def _closed(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the denominator of the open loop, and numerator and denominator of the one from r to y."""
     kp, ki, kd, filter_time = gains
-    integrates, filters = np.array([1.0, -1.0]), np.array([filter_time + h, -filter_time])
+    filters = filter_time + h
     # C = K_p + h K_i z / (z - 1) + K_d (z - 1) / ((T_f + h) z - T_f); from r a share of K_p, and no D
-    denominator = np.convolve(integrates, filters)
-    integral = np.convolve([h * ki, 0.0], filters)
-    feedback = kp * denominator + integral + kd * np.convolve(integrates, integrates)
+    denominator = np.array([filters, -filter_time - filters, filter_time])
+    integral = h * ki * np.array([filters, -filter_time, 0.0])
+    feedback = kp * denominator + integral + kd * np.array([1.0, -2.0, 1.0])
     open_loop = np.convolve(np.append(model.denominator, np.zeros(model.delay)), denominator)
-    closed_loop = np.polyadd(open_loop, np.convolve(model.numerator, feedback))
+    closed_loop = open_loop.copy()
+    closed_loop[-len(model.numerator) - 2 :] += np.convolve(model.numerator, feedback)
     return open_loop, np.convolve(model.numerator, share * kp * denominator + integral), closed_loop
 
 
@@ -450,39 +485,36 @@ def fit_second_order(
     """
     h, samples = recording.sampling_time, len(recording)
     equations = fewest_test_samples(recording.u.shape[1]) - _LAGS
-    delays = [
-        d
-        for d in range(_LARGEST_DELAY + 1)
-        if count_windows(samples, d + _LAGS + 1, recording.seams) >= equations
-    ]
+    longest = _LARGEST_DELAY
+    while count_windows(samples, longest + _LAGS + 1, recording.seams) < equations:
+        longest -= 1
     y = recording.y[:, [output]]
-    late = np.stack([_late(recording, d) for d in delays], axis=1)
-    alone = replace(recording, y=y, measured=y)
-    delay = delays[int(np.argmin(one_step_errors(alone, late, _LAGS)))]
-    used = without_first(_delayed(recording, output, delay), delay)
-    model = fit_arx(used, _LAGS)
-    discrete = np.roots([1.0, *(-model.a[:, 0])])
-    # A pole this near to the circle is not told from one on it, or not by this recording.
-    undecided = min(
-        _UNDECIDED * _standard_error(used, model.a[:, 0], complex(max(discrete, key=abs))),
-        _UNDECIDED / samples,
-    )
-    if np.abs(discrete).max() > 1.0 + max(undecided, 1.0 / samples):
-        raise DataError(
-            f"PID: output {output} of the recording grows by itself, by up to {np.abs(discrete).max():.4g} a "
-            "sample: tune by hand"
-        )
+    late = _late(recording, longest + 1)
+    delay = int(np.argmin(one_step_errors(recording, late, _LAGS, [output])))
+    used = without_first(replace(recording, u=late[:, delay], y=y, measured=y), delay)
+    coefficients = fit_coefficients(used, _LAGS)[0][:, 0]
+    a, b = coefficients[:, 0], coefficients[:, 1 + chosen]
+    discrete = _roots(np.append(1.0, -a))
+    growth = max(float(np.abs(discrete).max()), 1.0)
+    if growth > 1.0 + 1.0 / samples:
+        # A pole this near to the circle is not told from one on it, or not by this recording.
+        error = _standard_error(used, a, complex(max(discrete, key=abs)))
+        if growth > 1.0 + min(_UNDECIDED * error, _UNDECIDED / samples):
+            raise DataError(
+                f"PID: output {output} of the recording grows by itself, by up to {growth:.4g} a sample: "
+                "tune by hand"
+            )
     # What is slower than the experiment counts as ten times as long, what is faster than sampling as instant.
     slowest = np.exp(-0.1 / samples)
-    growth = max(float(np.abs(discrete).max()), 1.0)
-    held = np.poly([pole * min(1.0, slowest / max(abs(pole), _FASTEST_POLE)) for pole in discrete])
-    sampled = PulseTransferFunction(model.b[:, chosen], np.asarray(held.real, dtype=np.float64), delay)
+    held = discrete * [min(1.0, slowest / max(abs(pole), _FASTEST_POLE)) for pole in discrete.tolist()]
+    denominator = np.convolve([1.0, -held[0]], [1.0, -held[1]]).real
+    sampled = PulseTransferFunction(b, denominator, delay)
     discrete = np.array([_within(pole, _FASTEST_POLE, slowest) for pole in discrete])
-    gain = float(model.b[:, chosen].sum() / np.prod(1.0 - discrete).real)
+    gain = float(b.sum() / np.prod(1.0 - discrete).real)
     if gain == 0.0 or not np.isfinite(gain):
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
-    inverse = _inverse_response(model.b[:, chosen], h)
+    inverse = _inverse_response(b, h)
     growth = growth if growth > 1.0 + 1.0 / samples else 0.0
     return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse, growth), sampled
 
@@ -513,8 +545,8 @@ def _standard_error(recording: Recording, a: FloatArray, pole: complex) -> float
     return float(np.sqrt(max(along @ covariance @ along, 0.0)))
 
 
-def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0) -> tuple[float, ...]:
-    """Return K_p, K_i, K_d and T_f by the SIMC rules.
+def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float | FloatArray = 0.0) -> FloatArray:
+    """Return K_p, K_i, K_d and T_f by the SIMC rules, shape (4,), or (4, n) for n closed-loop times.
 
     Parameters
     ----------
@@ -522,16 +554,16 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
         The plant.
     sampling_time : float
         Half of it adds to the delay: what holding the input costs [s].
-    closed_loop_time : float
+    closed_loop_time : float or array, shape (n,)
         Time constant of the closed loop [s]; 0: the delay, but four samples at least, which gives the nine
         samples per rise time of K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, section 3.3.
     """
     delay = model.delay + sampling_time / 2.0
-    rest = (closed_loop_time or _rule_of_thumb(model, sampling_time)) + delay
+    rest = np.where(closed_loop_time, closed_loop_time, _rule_of_thumb(model, sampling_time)) + delay
     if model.poles[0].imag == 0.0:
         long, short = sorted((-1.0 / model.poles[0].real, -1.0 / model.poles[1].real), reverse=True)
         series = long / (model.gain * rest)
-        integral_time = min(long, 4.0 * rest)
+        integral_time = np.minimum(long, 4.0 * rest)
         gains = series * (1.0 + short / integral_time), series / integral_time, series * short
     else:
         squared = 1.0 / abs(model.poles[0]) ** 2  # tau^2
@@ -539,20 +571,18 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
         gains = damping / (model.gain * rest), 1.0 / (model.gain * rest), squared / (model.gain * rest)
     kp, ki, kd = gains
     # K_d / K_p alone is longer than the period of a lightly damped pair, which the filter would destabilise.
-    return *gains, _FILTER * min(abs(kd / kp), sqrt(kd / ki))
+    return np.array([kp, ki, kd, _FILTER * np.minimum(np.abs(kd / kp), np.sqrt(kd / ki))])
 
 
-def _delayed(recording: Recording, output: int, samples: int) -> Recording:
-    """Return one output, and inputs that come later."""
-    y = recording.y[:, [output]]
-    return replace(recording, u=_late(recording, samples), y=y, measured=y)
+def _late(recording: Recording, delays: int) -> FloatArray:
+    """Return inputs that come 0 ... ``delays - 1`` samples later; before, as at the beginning of each piece.
 
-
-def _late(recording: Recording, samples: int) -> FloatArray:
-    """Return inputs that come later; before, they were as at the beginning of each piece."""
+    Their shape is (T, delays, m).
+    """
     rows, begins = np.arange(len(recording)), np.array([0, *recording.seams])
     begin = begins[np.searchsorted(begins, rows, side="right") - 1]
-    return np.asarray(recording.u[np.maximum(rows - samples, begin)])
+    late = np.maximum(rows[:, np.newaxis] - np.arange(delays), begin[:, np.newaxis])
+    return np.asarray(recording.u[late])
 
 
 def _inverse_response(past_u: FloatArray, h: float) -> float:

@@ -167,6 +167,13 @@ def test_the_rules_are_as_published() -> None:
     assert filter_time == pytest.approx(0.1 * kd / kp)
 
 
+@pytest.mark.parametrize("poles", [(-0.5, -2.0), (-0.5 + 1j, -0.5 - 1j)])
+def test_the_rules_take_many_times_at_once(poles: tuple[complex, complex]) -> None:
+    model, times = SecondOrder(gain=-3.0, poles=poles, delay=0.2), np.array([0.1, 1.0, 30.0])
+    each = [simc(model, H, time) for time in times.tolist()]
+    np.testing.assert_array_equal(simc(model, H, times), np.transpose(each))
+
+
 def test_the_tuned_loop_tracks_the_pendulum_without_offset() -> None:
     loop = pendulum_loop(step_test())
     controller = PID(tuning="step-test")

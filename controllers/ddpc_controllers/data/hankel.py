@@ -421,7 +421,7 @@ def without_first(recording: Recording, samples: int) -> Recording:
         recording.y[kept],
         recording.measured[kept],
         recording.sampling_time,
-        tuple(int(seam) for seam in np.unique(seams) if 0 < seam < len(kept)),
+        tuple(seam for seam in sorted({*seams.tolist()}) if 0 < seam < len(kept)),
         recording.d[kept],
         excitation=recording.excitation[kept],
     )

@@ -122,23 +122,7 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
         the one-step prediction errors of the output predicted worst.
     """
     m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
-    signals, means, size = _standardised(recording)
-    past, now = _regression(signals, lags, recording.seams, p, n_d)
-    rows = len(past)
-    penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
-    system = np.vstack([past, penalty])
-    target = np.vstack([now, np.zeros((len(penalty), p))])
-    # Least norm: data of a plant with fewer lags leave coefficients free.
-    solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
-    error = (past @ solution - target[:rows]) * size[:p]
-
-    width, unit_y = p + m + n_d, size[:p, np.newaxis]
-    coefficients = solution[: lags * width].reshape(lags, width, p).transpose(0, 2, 1)  # lag, output, signal
-    coefficients = coefficients * unit_y / size
-    at_once = solution[lags * width : -1].T * unit_y / size[p + m :]
-    d_0 = means[p + m :]  # the constant is what is left with disturbances as they are on average
-    constant = means[:p] + solution[-1] * size[:p]
-    constant = constant - (coefficients[..., : p + m] @ means[: p + m]).sum(axis=0)
+    coefficients, at_once, constant, d_0, error = fit_coefficients(recording, lags, ridge)
     past_y, past_u, past_d = np.split(coefficients, [p, p + m], axis=2)
     a = np.zeros((lags * p, lags * p))
     a[:, :p] = past_y.reshape(lags * p, p)
@@ -150,11 +134,41 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
     rest, *_ = np.linalg.lstsq(gain, constant, rcond=_AT_REST)
     fit = {"lags": float(lags), "one_step_error": float(np.sqrt(np.square(error).mean(axis=0)).max())}
     operating_point = rest[:m], rest[m:]
-    known = {"e": e, "f": at_once, "d_0": d_0}
-    return SampledModel(a, b, np.eye(p, lags * p), *operating_point, len(recording), fit, **known)
+    c = np.eye(p, lags * p)
+    return SampledModel(a, b, c, *operating_point, len(recording), fit, e=e, f=at_once, d_0=d_0)
 
 
-def one_step_errors(recording: Recording, inputs: FloatArray, lags: int) -> FloatArray:
+def fit_coefficients(recording: Recording, lags: int, ridge: float = 0.0) -> tuple[FloatArray, ...]:
+    """Return what :func:`fit_arx` makes a model of: coefficients, and the errors of one step.
+
+    Returns
+    -------
+    by_lag, at_once, constant : array, shapes (lags, p, p + m + n_d), (p, n_d), (p,)
+        A_i, B_i and E_i side by side; E_0; c, with disturbances about their means.
+    d_0 : array, shape (n_d,)
+        These means.
+    errors : array, shape (T, p)
+        In the units of the outputs, a row per sample that has a past.
+    """
+    m, p, n_d = recording.u.shape[1], recording.y.shape[1], recording.d.shape[1]
+    signals, means, size = _standardised(recording)
+    past, now = _regression(signals, lags, recording.seams, p, n_d)
+    penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
+    system = np.concatenate([past, penalty])
+    target = np.concatenate([now, np.zeros((len(penalty), p))])
+    # Least norm: data of a plant with fewer lags leave coefficients free.
+    solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
+    width, unit_y = p + m + n_d, size[:p, np.newaxis]
+    by_lag = solution[: lags * width].reshape(lags, width, p).transpose(0, 2, 1) * unit_y / size
+    at_once = solution[lags * width : -1].T * unit_y / size[p + m :]
+    constant = means[:p] + solution[-1] * size[:p]
+    constant = constant - (by_lag[..., : p + m] @ means[: p + m]).sum(axis=0)
+    return by_lag, at_once, constant, means[p + m :], (past @ solution - now) * size[:p]
+
+
+def one_step_errors(
+    recording: Recording, inputs: FloatArray, lags: int, outputs: Sequence[int] | slice = slice(None)
+) -> FloatArray:
     """Return the one-step errors of autoregressive models of a recording with other inputs, all at once.
 
     Parameters
@@ -165,20 +179,29 @@ def one_step_errors(recording: Recording, inputs: FloatArray, lags: int) -> Floa
         The inputs of each model.
     lags : int
         Number of past samples.
+    outputs : sequence of int, optional
+        The outputs that the models have; default: all.
 
     Returns
     -------
     errors : array, shape (n,)
         Of each model, as ``one_step_error`` of :func:`fit_arx`.
     """
-    p, n_d = recording.y.shape[1], recording.d.shape[1]
-    y, d = (np.repeat(table[:, np.newaxis], inputs.shape[1], axis=1) for table in (recording.y, recording.d))
-    signals, _, size = standardised(np.concatenate([y, inputs, d], axis=-1))
-    past, now = _regression(signals, lags, recording.seams, p, n_d)
+    measured, (samples, n, m) = recording.y[:, outputs], inputs.shape
+    p, n_d = measured.shape[1], recording.d.shape[1]
+    side_by_side = np.concatenate([measured, inputs.reshape(samples, -1), recording.d], axis=1)
+    signals, _, size = standardised(side_by_side)
+    now, width = window_starts(samples, lags + 1, recording.seams) + lags, p + m + n_d
+    # The columns of :func:`_regression`, and the outputs, of each model.
+    systems = np.ones((n, lags * width + n_d + 1 + p, len(now)))
+    for lag in range(1, lags + 1):
+        past, own = signals[now - lag].T, systems[:, (lag - 1) * width : lag * width]
+        own[:, :p], own[:, p + m :] = past[:p], past[p + n * m :]
+        own[:, p : p + m] = past[p : p + n * m].reshape(n, m, -1)
+    systems[:, lags * width : -1 - p], systems[:, -p:] = signals[now, p + n * m :].T, signals[now, :p].T
     # The triangular factor shows what is left of the outputs.
-    systems = np.concatenate([past, now], axis=-1).swapaxes(0, 1)
-    left = np.square(np.asarray(np.linalg.qr(systems, mode="r"))[:, -p:, -p:])
-    errors: FloatArray = (np.sqrt(left.sum(axis=1) / len(past)) * size[:, :p]).max(axis=1)
+    left = np.square(np.asarray(np.linalg.qr(systems.swapaxes(1, 2), mode="r"))[:, -p:, -p:])
+    errors: FloatArray = (np.sqrt(left.sum(axis=1) / len(now)) * size[:p]).max(axis=1)
     return errors
 
 
@@ -230,7 +253,7 @@ def _observed(model: SampledModel, recording: Recording, lags: int) -> FloatArra
 
 def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return y, u and d side by side, off their means and in parts of their size; means; sizes."""
-    return standardised(np.hstack([recording.y, recording.u, recording.d]))
+    return standardised(np.concatenate([recording.y, recording.u, recording.d], axis=1))
 
 
 def _regression(
@@ -238,17 +261,17 @@ def _regression(
 ) -> tuple[FloatArray, FloatArray]:
     """Return what explains the outputs at each sample that has a past, a constant last, and the outputs.
 
-    ``signals``, shape (T, ..., width), are y, u and d side by side.
+    ``signals``, shape (T, width), are y, u and d side by side.
     """
     now = signals[window_starts(len(signals), lags + 1, seams) + lags]
-    known = now[..., now.shape[-1] - disturbances :], np.ones((*now.shape[:-1], 1))
-    return np.concatenate([_past(signals, lags, seams), *known], axis=-1), now[..., :outputs]
+    known = now[:, now.shape[1] - disturbances :], np.ones((len(now), 1))
+    return np.concatenate([_past(signals, lags, seams), *known], axis=1), now[:, :outputs]
 
 
 def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:
     """Return the samples before each that has ``lags`` of them, the newest first, side by side."""
-    first = window_starts(len(signals), lags + 1, seams)
-    return np.concatenate([signals[first + lags - i] for i in range(1, lags + 1)], axis=-1)
+    now = window_starts(len(signals), lags + 1, seams) + lags
+    return np.asarray(signals[now[:, np.newaxis] - np.arange(1, lags + 1)].reshape(len(now), -1))
 
 
 def never_moved(loop: Loop, recording: Recording) -> tuple[str, ...]:

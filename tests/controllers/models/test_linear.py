@@ -153,6 +153,17 @@ def test_models_with_other_inputs_at_once_leave_what_each_of_them_leaves(seams: 
     np.testing.assert_allclose(one_step_errors(recording, inputs, 2), each, rtol=1e-9)
 
 
+def test_models_with_other_inputs_may_have_some_outputs_only() -> None:
+    rng = np.random.default_rng(0)
+    plant = LinearPlant.random(rng, 2, 1, 2)
+    recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (80, 1)), 2, plant.c)
+    y = recording.y[:, [1]] + 0.01 * rng.normal(size=(80, 1))
+    both = replace(recording, y=np.hstack([recording.y[:, [0]], y]))
+    late = np.stack([recording.u, np.roll(recording.u, 1, axis=0)], 1)
+    alone = one_step_errors(replace(recording, y=y), late, 2)
+    np.testing.assert_array_equal(one_step_errors(both, late, 2, [1]), alone)
+
+
 def test_a_recording_too_short_for_the_lags_is_refused() -> None:
     source = Identified(lags=4)
     short = experiment(quick_pendulum, np.ones((12, 1)), 2, ANGLE)
