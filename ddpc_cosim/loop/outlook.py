@@ -182,7 +182,7 @@ class Limits(NamedTuple):
         if faults:
             raise ConfigError(faults)
         table.setflags(write=False)
-        low, high = table[0].T.copy()
+        low, high = table[0, :, 0].copy(), table[0, :, 1].copy()
         if moving:
             low, high = table[..., 0].min(axis=0), table[..., 1].max(axis=0)
         for array in (low, high):

@@ -394,6 +394,15 @@ def test_times_of_steps_count_every_row_that_has_one() -> None:
     assert figure(trace, "failures") == 2.0
 
 
+@given(st.lists(st.floats(1e-9, 10.0), min_size=1, max_size=40))
+def test_percentiles_are_those_of_numpy_to_the_last_bit(times: list[float]) -> None:
+    n = len(times)
+    trace = trace_of([0] * n, [0] * n, solve_time=times)
+    percentiles = {"solve_time_median": 50, "solve_time_p95": 95, "solve_time_p99": 99}
+    for name, percent in percentiles.items():
+        assert figure(trace, name) == np.percentile(times, percent)
+
+
 @pytest.mark.parametrize("rows", [0, 1])
 def test_without_held_samples_there_are_no_figures_of_the_response(rows: int) -> None:
     """A run that ended at once must not look like one without any error."""
