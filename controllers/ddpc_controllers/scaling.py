@@ -268,7 +268,7 @@ def _sizes(
                 f'"{variable.name}" cannot be scaled: its nominal value is {variable.nominal:g}; give it one '
                 "above 0, or bounds and scale by range"
             )
-    return np.array(scales)
+    return scales
 
 
 def _scaled(variables: tuple[Variable, ...], scales: FloatArray) -> tuple[Variable, ...]:
