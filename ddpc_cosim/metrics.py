@@ -220,18 +220,11 @@ def compute_metrics(
     replaced = _third_parties().metrics
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
-            kind: Any = type(samples)
-            for name, metric in _built_in_of(kind):
-                if name not in replaced and metric.exists(samples):
-                    table[_key(name, metric.unit, samples)] = metric.compute(samples)
+            for name, metric in METRICS.items():
+                of_samples: Metric[Any] = metric
+                if isinstance(samples, metric.of) and name not in replaced and of_samples.exists(samples):
+                    table[_key(name, metric.unit, samples)] = of_samples.compute(samples)
     return table
-
-
-@cache
-def _built_in_of(kind: type[Any]) -> tuple[tuple[str, Metric[Any]], ...]:
-    """Return the built-in metrics of samples of a class, by name."""
-    metrics = cast("dict[str, Metric[Any]]", METRICS)
-    return tuple((name, metric) for name, metric in metrics.items() if issubclass(kind, metric.of))
 
 
 def compute_installed_metrics(trace: Any) -> dict[str, float]:
@@ -424,16 +417,9 @@ def _rms(values: FloatArray) -> float:
 
 
 def _percentile(values: FloatArray, percent: float) -> float:
-    """Return a percentile, linear between two values: as NumPy does it, which takes longer for a few."""
-    if not values.size or np.isnan(values).any():
+    if not values.size or np.isnan(values).any():  # as of compiled runs: NumPy's way to it is long
         return math.nan
-    place = (values.size - 1) * (percent / 100)
-    below = int(place)
-    places = [below, min(below + 1, values.size - 1)]
-    lower, upper = np.partition(values, places)[places].tolist()
-    part, difference = place - below, upper - lower
-    between: float = lower + difference * part if part < 0.5 else upper - difference * (1 - part)
-    return between
+    return float(np.percentile(values, percent))
 
 
 def _has_steps(response: Response) -> bool:

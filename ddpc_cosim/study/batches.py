@@ -44,7 +44,7 @@ def stage_batch(folder: Path, runs: Sequence[dict[str, Any]]) -> Path:
     first, *others = runs
     common = {key: value for key, value in first.items() if all(run.get(key) == value for run in others)}
     rest = [{key: value for key, value in run.items() if key not in common} for run in runs]
-    content = gzip.compress(sealed_json({_COMMON: common, _RUNS: rest}), mtime=0)
+    content = gzip.compress(sealed_json({_COMMON: common, _RUNS: rest}), 6, mtime=0)
     path = folder / f"{_NAME}{checksum(content)[:_DIGITS]}{_SUFFIX}"
     path.write_bytes(content)
     write_through(path)
