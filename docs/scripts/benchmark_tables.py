@@ -18,6 +18,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from statistics import fmean, median
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import kendalltau
@@ -31,8 +32,8 @@ from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.runner import built_plants
-from ddpc_cosim.study.verdicts.reliability import failure_rate
-from ddpc_cosim.study.verdicts.standings import standings
+from ddpc_cosim.study.verdicts.reliability import FailureRate, failure_rate
+from ddpc_cosim.study.verdicts.standings import Standings, standings
 from ddpc_cosim.study.verdicts.statistics import median_interval
 from ddpc_reports.across_problems import Overall, overall
 from ddpc_reports.shares import interval_words, share_words
@@ -43,6 +44,7 @@ _TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 _OBJECTIVES, _MOST = ("mean_abs_error", "money"), 10.0  # the best may be within its band
 _NO_CODE = "no C"
 _FEW = 20  # seeds that the benchmark has
+_PAIRS = ("told apart", "too little to matter", "not told apart")
 ADAPTATION = ("gpc", "mfapc", "deepc", "spc", "mpc", "pid")
 LEARNING = ("gpc", "mfapc", "deepc", "mpc")
 """Whom the tables of the page on GPC show: in the last problems, and in the first ten."""
@@ -320,52 +322,90 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Iterabl
     return rows(*table)
 
 
-def many(results: StudyResults, labels: Mapping[str, str]) -> str:
-    """Return what the first seeds of many do not show: who fails rarely, and who is ahead of whom."""
-    unseen: dict[str, list[str]] = {key: [] for key in labels}
-    ranks: dict[str, tuple[list[int], list[int]]] = {key: ([], []) for key in labels}
-    count = len({case.seed for case in results.cases})
-    for part in results.problems():
+class ManySeeds(NamedTuple):
+    """What many seeds of a scenario show, and the first ones.
+
+    Parameters
+    ----------
+    scenario : str
+        Its name.
+    seeds : int
+        How many seeds there are.
+    problems : int
+        How many problems have it.
+    unseen : dict of str to list of (FailureRate, str)
+        By method: how often it fails, and in which problem, where no run of the first seeds failed.
+    ranks : dict of str to list of (int, int)
+        By method, for each problem: how many ranks the first seeds allow it, and all.
+    pairs : (Counter of str, Counter of str)
+        Of the first seeds, and of all: how many pairs of methods without failed runs are told apart, and not.
+    """
+
+    scenario: str
+    seeds: int
+    problems: int
+    unseen: dict[str, list[tuple[FailureRate, str]]]
+    ranks: dict[str, list[tuple[int, int]]]
+    pairs: tuple[Counter[str], Counter[str]]
+
+
+def many_seeds(results: StudyResults, methods: Collection[str]) -> ManySeeds:
+    """Return what results of many seeds of one scenario show."""
+    (scenario,) = {case.scenario for case in results.cases}
+    unseen: dict[str, list[tuple[FailureRate, str]]] = {key: [] for key in methods}
+    ranks: dict[str, list[tuple[int, int]]] = {key: [] for key in methods}
+    pairs = Counter[str](), Counter[str]()
+    parts = results.problems()
+    for part in parts:
         first = sorted({case.seed for case in part.cases})[:_FEW]
-        few = [case for case in part.cases if case.seed in first]
-        for place, cases in enumerate((few, part.cases)):
-            for standing in standings(part.study, cases).order:
-                ranks[standing.controller][place].append(1 + standing.worst - standing.rank)
-        for key in labels:
-            seen, rate = (
-                failure_rate(c for c in cases if c.controller == key) for cases in (few, part.cases)
-            )
+        by_count = [case for case in part.cases if case.seed in first], part.cases
+        where = [standings(part.study, cases) for cases in by_count]
+        allowed = [{s.controller: 1 + s.worst - s.rank for s in of.order} for of in where]
+        for counts, of in zip(pairs, where, strict=True):
+            sound = [name for name, failed in of.failed.items() if not failed]
+            counts.update(_told(of, a, b) for a, b in combinations(sound, 2))
+        for key in methods:
+            ranks[key].append((allowed[0][key], allowed[1][key]))
+            seen, rate = (failure_rate(c for c in cases if c.controller == key) for cases in by_count)
             if rate.failed and not seen.failed:
-                interval = f"[{100 * rate.low:.2g} … {100 * rate.high:.2g} %]"
-                unseen[key].append(f"{part.study.name} {rate.failed} of {rate.seeds} {interval}")
-    heads = (
-        f"none of {_FEW} runs failed, of {count} some",
-        f"ranks that {_FEW} seeds allow",
-        f"that {count} do",
-    )
-    table = [["method", *heads]]
+                unseen[key].append((rate, part.study.name))
+    return ManySeeds(scenario, len({case.seed for case in results.cases}), len(parts), unseen, ranks, pairs)
+
+
+def _told(where: Standings, a: str, b: str) -> str:
+    """Return whether it can be told who of two is ahead, in the words of the table."""
+    if any(where.worse_in(key, a, b) for key in where.keys):
+        return _PAIRS[0]
+    differences = [where.compared[key].differences for key in where.keys]
+    is_told = any((of.get((a, b)) or of[b, a]).told_apart for of in differences)
+    return _PAIRS[1] if is_told else _PAIRS[2]
+
+
+def many(scenarios: Sequence[ManySeeds], labels: Mapping[str, str]) -> str:
+    """Return who fails so rarely that the first seeds do not show it, and what ranks they allow."""
+    count = scenarios[0].seeds
+    head = ["method", *(f"`{of.scenario}`" for of in scenarios), "most often"]
+    table = [[*head, f"ranks that {_FEW} seeds allow", f"that {count} do"]]
     for key, label in labels.items():
-        table.append([label, "; ".join(unseen[key]) or "none", *(f"{fmean(of):.1f}" for of in ranks[key])])
+        rare = [(rate, f"{name} under `{of.scenario}`") for of in scenarios for rate, name in of.unseen[key]]
+        most = "none"
+        if rare:
+            rate, name = max(rare, key=lambda one: one[0].failed)
+            interval = f"[{100 * rate.low:.2g} … {100 * rate.high:.2g} %]"
+            most = f"{name} {rate.failed} of {rate.seeds} {interval}"
+        allowed = zip(*(ranks for of in scenarios for ranks in of.ranks[key]), strict=True)
+        numbers = (str(len(of.unseen[key])) for of in scenarios)
+        table.append([label, *numbers, most, *(f"{fmean(ranks):.1f}" for ranks in allowed)])
     return rows(*table)
 
 
-def pairs(results: StudyResults) -> str:
-    """Return of how many pairs of methods without failed runs the first seeds, and all, tell who is ahead."""
-    count = len({case.seed for case in results.cases})
-    table = [["seeds", "pairs", "told apart", "too little to matter", "not told apart"]]
-    for seeds in (_FEW, count):
-        counts = Counter[str]()
-        for part in results.problems():
-            first = sorted({case.seed for case in part.cases})[:seeds]
-            where = standings(part.study, [case for case in part.cases if case.seed in first])
-            for a, b in combinations([name for name, failed in where.failed.items() if not failed], 2):
-                differences = [where.compared[key].differences for key in where.keys]
-                is_told = any((of.get((a, b)) or of[b, a]).told_apart for of in differences)
-                matters = any(where.worse_in(key, a, b) for key in where.keys)
-                counts[
-                    "told apart" if matters else "too little to matter" if is_told else "not told apart"
-                ] += 1
-        table.append([str(seeds), str(counts.total()), *(str(counts[head]) for head in table[0][2:])])
+def pairs(scenarios: Sequence[ManySeeds]) -> str:
+    """Return of how many pairs of methods the first seeds, and all, tell who is ahead."""
+    table = [["scenario", "problems", "seeds", "pairs", *_PAIRS]]
+    for of in scenarios:
+        for seeds, counts in zip((_FEW, of.seeds), of.pairs, strict=True):
+            numbers = of.problems, seeds, counts.total(), *(counts[words] for words in _PAIRS)
+            table.append([f"`{of.scenario}`", *map(str, numbers)])
     return rows(*table)
 
 
@@ -396,10 +436,9 @@ def main() -> None:
     if given.trials:
         first, *others = ([Path(path) for path in paths.split(",")] for paths in given.trials)
         tables["again"] = again(chosen(first), others)
-    for folder in given.many:
-        of_many = load_results(folder)
-        (scenario,) = {case.scenario for case in of_many.cases}
-        tables |= {f"many-{scenario}": many(of_many, labels), f"pairs-{scenario}": pairs(of_many)}
+    if given.many:
+        of_many = [many_seeds(load_results(folder), labels) for folder in given.many]
+        tables |= {"many": many(of_many, labels), "pairs": pairs(of_many)}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         text = _TABLE.sub(lambda match: match[1] + tables.get(match[2], match[3]) + match[4], text)
