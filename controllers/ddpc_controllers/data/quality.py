@@ -162,7 +162,8 @@ def fit_by_windows(
         # The triangular factor of the head has all that its least squares need, in a few rows.
         factor = np.asarray(np.linalg.qr(np.concatenate(system), mode="r"))
         triangular = factor[:split, :split]
-        if scipy.linalg.lapack.dtrcon(triangular)[0] > _NO_DOUBT:
+        # A triangular matrix is its own factor: the reciprocal of its condition number.
+        if scipy.linalg.lapack.dgecon(triangular, np.abs(triangular).sum(axis=0).max())[0] > _NO_DOUBT:
             solution = scipy.linalg.blas.dtrsm(1.0, triangular, factor[:split, split:])
         else:
             solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
