@@ -376,7 +376,7 @@ def _with_margin(
 def _are_beyond(plant: PulseTransferFunction, gains: FloatArray, h: float) -> NDArray[np.bool_]:
     """Return which of many gains, shape (4, n), a few frequencies show to be beyond the margin."""
     kp, ki, kd, filter_time = gains
-    n, d, w = _values(plant.numerator, _A_FEW), _values(plant.denominator, _A_FEW), h * _INTEGRATOR
+    n, d, w = np.polyval(plant.numerator, _A_FEW), np.polyval(plant.denominator, _A_FEW), h * _INTEGRATOR
     d *= _A_FEW**plant.delay
     # Open loop and closed loop, D and D + N C with C = K_p + K_i w + K_d / (T_f + w), times T_f + w.
     factors = np.array([filter_time, np.ones_like(kp), kp * filter_time + kd, kp + ki * filter_time, ki])
@@ -410,30 +410,13 @@ def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_t
         h [s].
     """
     open_loop, _, closed_loop = _closed(model, gains, sampling_time)
-    poles = _roots(closed_loop)
+    poles = np.roots(closed_loop)
     if np.abs(poles).max() >= 1.0:
         return float("inf")
     # Peaks are as narrow as the poles near them are close to the circle.
     near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
     z = np.append(_CIRCLE, np.exp(1j * near_poles))
-    return float(np.abs(_values(open_loop, z) / _values(closed_loop, z)).max())
-
-
-def _values(polynomial: FloatArray, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the values as numpy.polyval does, in place."""
-    values = np.full_like(z, polynomial[0])
-    for coefficient in polynomial[1:].tolist():
-        values *= z
-        values += coefficient
-    return values
-
-
-def _roots(polynomial: FloatArray) -> NDArray[np.complex128]:
-    """Return the roots as numpy.roots does, in half its time: of falling powers, the first not zero."""
-    degree = np.flatnonzero(polynomial)[-1]
-    companion = np.eye(degree, k=-1)
-    companion[:1] = -polynomial[1 : degree + 1] / polynomial[0]
-    return np.append(np.linalg.eigvals(companion), np.zeros(len(polynomial) - 1 - degree))
+    return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
 
 
 def _closed(
@@ -494,7 +477,7 @@ def fit_second_order(
     used = without_first(replace(recording, u=late[:, delay], y=y, measured=y), delay)
     coefficients = fit_coefficients(used, _LAGS)[0][:, 0]
     a, b = coefficients[:, 0], coefficients[:, 1 + chosen]
-    discrete = _roots(np.append(1.0, -a))
+    discrete = np.roots(np.append(1.0, -a))
     growth = max(float(np.abs(discrete).max()), 1.0)
     if growth > 1.0 + 1.0 / samples:
         # A pole this near to the circle is not told from one on it, or not by this recording.
