@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code, qp_memory
-from ddpc_controllers.optimisation.condensing import CondensedProblem, pivoted_qr
+from ddpc_controllers.optimisation.condensing import CondensedProblem
 from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
 from ddpc_cosim import ConfigError
 
@@ -115,7 +116,8 @@ def _add(
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
     # A solution lies in the range of gain', of as few coordinates as there are independent bounds. The factor
     # is triangular, and what is rounding becomes zero: half of the gain, which takes no room in an archive.
-    directions, factor, order = pivoted_qr((gain / size[:, np.newaxis]).T)
+    scaled = (gain / size[:, np.newaxis]).T
+    directions, factor, order = scipy.linalg.qr(scaled, mode="economic", pivoting=True, check_finite=False)
     diagonal = np.abs(factor.diagonal())
     unknowns = int(np.count_nonzero(diagonal > _EPSILON * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))

@@ -99,7 +99,7 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
     for block in np.split(rows, np.cumsum(sizes)[:-1]):
         new = block.T - known @ (known.T @ block.T)
         new -= known @ (known.T @ new)  # once more: twice is enough for orthogonality to rounding
-        directions, factor, _ = pivoted_qr(new)
+        directions, factor, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
         rank = int(np.count_nonzero(np.abs(factor.diagonal()) > significant))
         known = np.hstack([known, directions[:, :rank]])
         ranks.append(rank)
@@ -108,31 +108,13 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
 
 def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
     """Return B with as many columns as M has independent rows, and what counted as significant."""
-    _, factor, order = pivoted_qr(data.T, only_r=True)
+    factor, order = scipy.linalg.qr(data.T, mode="r", pivoting=True, check_finite=False)
     diagonal = np.abs(factor.diagonal())
     significant = float(np.finfo(float).eps * max(data.shape) * diagonal[0])
     rank = int(np.count_nonzero(diagonal > significant))
     basis = np.empty((len(data), rank))
     basis[order] = factor[:rank].T
     return basis, significant
-
-
-def pivoted_qr(
-    matrix: FloatArray, *, only_r: bool = False
-) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
-    """Return Q, R and the order of columns in which they factorise a matrix, economically; Q may be left.
-
-    As scipy.linalg.qr does, which for small matrices takes twice as long as LAPACK.
-    """
-    lapack, size = scipy.linalg.lapack, min(matrix.shape)
-    work = lapack.dgeqp3(matrix, lwork=-1)[3]
-    packed, order, scalars, _, _ = lapack.dgeqp3(matrix, lwork=int(work[0]))
-    q = np.empty((len(matrix), 0))
-    if not only_r:
-        work = lapack.dorgqr(packed[:, :size], scalars, lwork=-1)[1]
-        q = lapack.dorgqr(packed[:, :size], scalars, lwork=int(work[0]))[0]
-    above = np.arange(size)[:, np.newaxis] <= np.arange(matrix.shape[1])
-    return q, np.where(above, packed[:size], 0.0), order - 1
 
 
 @dataclass(frozen=True, slots=True)
