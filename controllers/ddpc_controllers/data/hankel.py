@@ -1,5 +1,6 @@
 """Windows of a recording as a predictor stacks them, and whether the recording excites the plant enough."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -334,7 +335,7 @@ def matching_recording(loop: Loop, who: str) -> Recording:
         raise DataError(
             f"{who}: the recording has (inputs, outputs, measurements) = {sizes}, the loop has {wanted}"
         )
-    if abs(recording.sampling_time - loop.sampling_time) > 1e-8 + 1e-9 * loop.sampling_time:
+    if not math.isclose(recording.sampling_time, loop.sampling_time, rel_tol=1e-9, abs_tol=1e-8):
         raise DataError(
             f"{who}: the recording was sampled every {recording.sampling_time:g} s, the loop runs every "
             f"{loop.sampling_time:g} s: record at the loop's sampling time"
