@@ -18,7 +18,7 @@ from ddpc_cosim.controller import OK, Controller, ControllerCode, Loop, further_
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.co_simulation import StepInC
 from ddpc_cosim.fmu.plant import FMUPlant
-from ddpc_cosim.loop.master import ExcitingController, NeedsPythonError, Run
+from ddpc_cosim.loop.master import ExcitingController, NeedsPythonError, Run, Stretch
 from ddpc_cosim.loop.safe_calls import loadable_controller_code, require_finite, start_controller
 from ddpc_cosim.variables import FloatArray, names
 
@@ -101,9 +101,12 @@ class CompiledEngine:
     ----------
     used : str
         What has computed the samples of the last run: ``"compiled"``, or ``"python: "`` and why.
+    experiment : Stretch or None
+        As of :class:`ddpc_cosim.loop.master.Engine`.
     """
 
     used = ""
+    experiment: Stretch | None = None
 
     def __init__(self) -> None:
         self._started: tuple[Controller, Loop] | None = None

@@ -479,6 +479,11 @@ class Sensors:
         self._seen = y = np.where(lost, self._seen if self.holds and lost.any() else np.nan, y)
         return y, HELD if self.holds and lost.any() else ""
 
+    def pass_over(self, samples: int) -> None:
+        """Draw the noise of the next so many samples, which nobody measures."""
+        if self._is_noisy:
+            self._normal.draw((samples, len(self._deviation)))
+
     def tables(self, rows: int) -> SensorTables:
         """Return what :meth:`disturb` and :meth:`measure` go by at the next so many samples, noise drawn."""
         noise = None

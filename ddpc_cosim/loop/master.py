@@ -153,7 +153,19 @@ class RunOfEngine(Protocol):
 
 
 class Engine(Protocol):
-    """Takes up runs in place of this module's own loop."""
+    """Takes up runs in place of this module's own loop.
+
+    Attributes
+    ----------
+    experiment : Stretch or None
+        The last experiment without a stabilising controller, all of which it has taken up. It stands for that
+        of the next run too, unless it is taken away: by whoever has a run with another experiment.
+    used : str
+        ``"compiled"`` if the last run was taken up.
+    """
+
+    experiment: "Stretch | None"
+    used: str
 
     def start(self, controller: Controller, loop: Loop) -> None:
         """Start a controller, as :func:`ddpc_cosim.loop.safe_calls.start_controller` does."""
@@ -429,17 +441,16 @@ def cosimulate(
     if excitation is not None:
         onwards = duration if continue_recording else 0.0
         run = (start_time, end)
-        experiment = _experiment(
-            setup,
-            excitation,
-            stabiliser,
-            wanted,
-            parameters,
-            recording_start,
-            onwards,
-            run,
-            None if continue_recording else engine,  # what conditions remember goes on
-        )
+        recorder = None if continue_recording else engine  # what conditions remember goes on
+        experiment = recorder.experiment if recorder else None
+        if experiment is None:
+            experiment = _experiment(
+                setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run, recorder
+            )
+            if recorder and stabiliser is None and recorder.used == "compiled":
+                recorder.experiment = experiment
+        else:
+            setup.pass_over(len(experiment.recording))
         recording, y_plant = experiment.recording, experiment.y_plant
         if stabiliser is not None:
             diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
@@ -680,7 +691,7 @@ class _NoController(Controller):
         return self._rest.copy()
 
 
-class _Stretch(NamedTuple):
+class Stretch(NamedTuple):
     """What comes before a closed loop: its recording, the plant's outputs at its end, and fallbacks in it."""
 
     recording: Recording
@@ -695,7 +706,7 @@ def _warm_up(
     time: FloatArray,
     samples: int,
     y_plant: FloatArray,
-) -> _Stretch:
+) -> Stretch:
     """Run the first samples of a run that has been started under another controller."""
     horizon = horizon_of(controller)
     time = time[: samples + horizon]
@@ -709,7 +720,7 @@ def _warm_up(
     preview = loop.preview
     rows.look(setup.outlook(wish, limits, time, 0, samples, horizon, preview, is_before=True))
     y_plant = _run_before(setup, controller, loop, rows, y_plant, "warm-up")
-    return _Stretch(rows.recording(holds=True), y_plant)
+    return Stretch(rows.recording(holds=True), y_plant)
 
 
 def _experiment(
@@ -722,7 +733,7 @@ def _experiment(
     onwards: float = 0.0,
     run: tuple[float, float] | None = None,
     engine: Engine | None = None,
-) -> _Stretch:
+) -> Stretch:
     """Excite a plant from its initial state and record it.
 
     Parameters
@@ -768,7 +779,7 @@ def _experiment(
     recording = rows.recording()
     if stabiliser is not None:  # an excitation alone is the recorded inputs
         recording = replace(recording, excitation=inputs)
-    return _Stretch(recording, y_plant, exciting.fallbacks)
+    return Stretch(recording, y_plant, exciting.fallbacks)
 
 
 def _run_before(

@@ -479,6 +479,10 @@ class LoopSetup:
         self.disturbances.start(self.actuators, continues=continues)
         self._sensors.start(time, in_experiment=in_experiment, continues=continues)
 
+    def pass_over(self, samples: int) -> None:
+        """Go on behind an experiment of so many samples that is known: its noise is that of these samples."""
+        self._sensors.pass_over(samples)
+
     def hand_over(self, *, accepts_missing: bool) -> None:
         """Go on with a controller that is shown NaN for a lost measurement, or the last one that arrived."""
         self._sensors.holds = not accepts_missing

@@ -34,6 +34,7 @@ from ddpc_cosim.loop.master import (
     NeedsPythonError,
     Resumption,
     Steps,
+    Stretch,
     cosimulate,
 )
 from ddpc_cosim.loop.outlook import Limit, Limits, intersample_signals, table_widths
@@ -575,12 +576,14 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 
 
 def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
-    """Run cases of this project's controllers and plants that differ by their seeds alone, and yield traces.
+    """Run cases of this project's controllers and plants that differ by these and seeds alone; yield traces.
 
-    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one. So is their
-    controller made once: started again, it knows nothing of the run before.
+    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one. So is each
+    controller made once: started again, it knows nothing of the run before. Where cases with the same seed
+    follow each other, their experiment is made once.
     """
-    kept, plant, prepared = ExitStack(), None, None
+    kept, plant, prepared = ExitStack(), None, dict[str, _Prepared]()
+    last: tuple[Any, Stretch | None] = None, None
     with kept:
         for case in cases:
             if plant is None and case.plant.fmu:
@@ -591,14 +594,31 @@ def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
                 continue
             store = row_store(case)
             safe_calls.announce_calls(store.announce)
-            if prepared is None and case.engine == "compiled":
+            if case.controller not in prepared and case.engine == "compiled":
                 with suppress(CosimError):  # as above
-                    prepared = _Prepared.of(case)
-            trace = _run(case, plant, store, prepared)
+                    prepared[case.controller] = _Prepared.of(case)
+            of_case, experiment = prepared.get(case.controller), _decisive_in_experiment(case)
+            if of_case is not None:
+                of_case.engine.experiment = last[1] if experiment == last[0] else None
+            trace = _run(case, plant, store, of_case)
+            last = experiment, of_case and of_case.engine.experiment
             if trace.outcome is not Outcome.COMPLETED:
                 kept.close()
-                plant = prepared = None
+                plant, last = None, (None, None)
+                prepared.clear()
             yield _with_remarks(case, trace)
+
+
+def _decisive_in_experiment(case: Case) -> tuple[Any, ...]:
+    """Return by what experiments of cases differ that are of one problem and scenario.
+
+    Controllers have limits of their own, of which those decide that do not move: where inputs rest.
+    """
+    limits = {
+        name: [limit for limit in pair if not isinstance(limit, Reference)]
+        for name, pair in case.bounds.items()
+    }
+    return case.seed, case.noise_mixture, case.parameters, limits
 
 
 def _loaded(case: Case, kept: ExitStack) -> Plant:

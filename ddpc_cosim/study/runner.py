@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
@@ -110,7 +111,7 @@ _REPLY_SECONDS = 5.0
 _BETWEEN_CALLS_SECONDS = 600.0
 _LONGEST_ANSWER_SECONDS = 3600.0
 # Where a controller has more seeds in a scenario, files of single cases take longer than the cases do.
-_MANY_SEEDS, _FIRST_SEEDS, _BATCH = 500, 20, 50
+_MANY_SEEDS, _FIRST_SEEDS, _BATCH = 500, 20, 200
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _AT_THE_END = ("diagnostics", "provenance", "close")
@@ -439,7 +440,7 @@ def run_missing(
             result = batched[case.id] if is_batched(case) else load_case(cases_folder / case.id)
             progress.finished(case, result)
     alone = [case for case in missing.values() if case.id not in for_batches]
-    together = deque(case for case in missing.values() if case.id in for_batches)
+    together = _by_seed(case for case in missing.values() if case.id in for_batches)
     for case in _done(alone, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
@@ -464,6 +465,14 @@ def _for_batches(cases: Sequence[Case], selection: Selection) -> set[str]:
         if len(of_series) > _MANY_SEEDS and leaves_nothing_behind(of_series[0]) and not of_series[0].late
         for case in of_series[_FIRST_SEEDS:]
     }
+
+
+def _by_seed(cases: Iterable[Case]) -> deque[Case]:
+    """Return cases so that those follow each other that differ by their controllers alone."""
+    places: dict[tuple[str, str, int], list[Case]] = {}
+    for case in cases:
+        places.setdefault((case.problem, case.scenario, case.seed), []).append(case)
+    return deque(chain.from_iterable(places.values()))
 
 
 def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
@@ -655,7 +664,7 @@ def run_batches(
             while cases or running:
                 while cases and len(running) < jobs:
                     first, chosen = cases[0], list[Case]()
-                    while cases and len(chosen) < _BATCH and _are_alike(cases[0], first):
+                    while cases and _goes_with(cases[0], chosen):
                         chosen.append(cases.popleft())
                     if not idle:
                         memory = _memory(first, jobs)
@@ -676,7 +685,7 @@ def run_batches(
                         lost += ended.cases
                     else:
                         idle.append(ended.worker)
-                        yield from zip(ended.cases, results, strict=True)
+                        yield from results
         finally:
             for worker in (*idle, *(batch.worker for batch in running)):
                 worker.end()
@@ -699,28 +708,42 @@ class _Batch(NamedTuple):
         each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in self.cases]
         return monotonic() - self.since > max(sum(each), _BETWEEN_CALLS_SECONDS)
 
-    def results(self, staging: Path, batched: Batched) -> list[CaseResult]:
-        """Return its cases, whose file has been put in its place; raises what keeps it from that."""
+    def results(self, staging: Path, batched: Batched) -> list[tuple[Case, CaseResult]]:
+        """Return its cases, whose files have been put in their places; raises what keeps one from that."""
         seconds = 0.0 if self.is_late else _REPLY_SECONDS
-        name = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=seconds))
-        return batched.accept(staging / Path(name).name, [case.head() for case in self.cases])
+        files = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=seconds))
+        results = list[tuple[Case, CaseResult]]()
+        for controller in dict.fromkeys(case.controller for case in self.cases):
+            cases = [case for case in self.cases if case.controller == controller]
+            path = staging / Path(files[controller]).name
+            results += zip(cases, batched.accept(path, [case.head() for case in cases]), strict=True)
+        return results
 
 
-def _are_alike(case: Case, other: Case) -> bool:
-    """Whether two cases differ by their seeds alone."""
-    keys = ("problem", "controller", "scenario")
-    return all(getattr(case, key) == getattr(other, key) for key in keys)
+def _goes_with(case: Case, chosen: Sequence[Case]) -> bool:
+    """Whether a case is the next one of a batch: seeds are not parted, problems and scenarios are."""
+    if not chosen:
+        return True
+    last = chosen[-1]
+    is_alike = (case.problem, case.scenario) == (last.problem, last.scenario)
+    return is_alike and (len(chosen) < _BATCH or case.seed == last.seed)
 
 
-def run_batch(cases: Sequence[Case], staging: Path, modules: str, values: bytes, work: Path) -> str:
-    """Run cases in a worker, stage what there is to say of each in one file, and return its name."""
+def run_batch(
+    cases: Sequence[Case], staging: Path, modules: str, values: bytes, work: Path
+) -> dict[str, str]:
+    """Run cases in a worker, and stage what there is to say of them; return the file of each controller."""
     _settle(modules, values, work)
-    runs, began = [], monotonic()
+    runs: dict[str, list[dict[str, Any]]] = {}
+    began = monotonic()
     for case, trace in zip(cases, run_alike(cases), strict=True):
         head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
-        runs.append(described(trace, head, case.metrics) | {"signals": {"rows": len(trace)}})
+        run = described(trace, head, case.metrics) | {"signals": {"rows": len(trace)}}
+        runs.setdefault(case.controller, []).append(run)
         began = monotonic()
-    return stage_batch(staging, runs).name
+    return {
+        controller: stage_batch(staging, of_controller).name for controller, of_controller in runs.items()
+    }
 
 
 def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:

@@ -29,7 +29,8 @@ from ddpc_cosim.compiled.engine import CompiledEngine, CompiledRun
 from ddpc_cosim.compiled.program import program_of
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.fmu.plant import FMUPlant
-from ddpc_cosim.study.cases import Case, run_case, started
+from ddpc_cosim.loop import master
+from ddpc_cosim.study.cases import Case, run_alike, run_case, started
 from ddpc_cosim.study.runner import Selection
 from fmu_plants import export_fmu
 from fmu_plants.pendulum import MODEL
@@ -114,6 +115,44 @@ def assert_the_same(python: Trace, compiled: Trace) -> None:
 def test_samples_and_figures_are_those_of_python(cases: list[Case], controller: str, scenario: str) -> None:
     (case,) = (c for c in cases if (c.controller, c.scenario) == (controller, scenario))
     assert_the_same(*both(case))
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_controllers_of_a_seed_learn_from_one_experiment(
+    cases: list[Case], scenario: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began: list[int] = []
+    make = master._experiment
+    monkeypatch.setattr(master, "_experiment", lambda *args: (began.append(1), make(*args))[1])
+    of_seeds = [
+        replace(case, engine="compiled", seed=seed)
+        for seed in (3, 4)
+        for case in cases
+        if case.scenario == scenario
+    ]
+    for case, trace in zip(of_seeds, run_alike(of_seeds), strict=True):
+        alone = run_case(case)
+        assert (trace.outcome, trace.engine) == (Outcome.COMPLETED, "compiled")
+        for name in ("y", "measured", "u", "applied"):
+            np.testing.assert_array_equal(getattr(trace, name), getattr(alone, name), err_msg=name)
+        assert trace.recorded_samples == alone.recorded_samples
+    assert len(began) == 2 + len(of_seeds)
+
+
+@pytest.mark.parametrize("other", ["parameters", "limits", "noise"])
+def test_another_experiment_is_another_one(cases: list[Case], other: str) -> None:
+    case, pid = (
+        next(c for c in cases if (c.controller, c.scenario) == (controller, "noise"))
+        for controller in ("deepc", "pid")
+    )
+    changed: dict[str, Any] = {
+        "parameters": {"parameters": case.parameters | {"mass": 1.3}},
+        "limits": {"bounds": case.bounds | {"torque": (0.5, 3.5)}},
+        "noise": {"noise_mixture": ((5, 1.0),)},
+    }[other]
+    both_of_them = [replace(pid, engine="compiled"), replace(case, engine="compiled", **changed)]
+    *_, trace = run_alike(both_of_them)
+    np.testing.assert_array_equal(trace.u, run_case(both_of_them[1]).u)
 
 
 def test_all_conditions_of_the_house_are_known_in_c() -> None:
