@@ -314,27 +314,24 @@ class Actuators:
         Which inputs have signals of their own (the others are driven), and what the actuators do.
     sampling_time : float
         Time between samples [s].
-    seed : int
-        Seed of random signals.
     """
 
     def __init__(
-        self,
-        inputs: Sequence[Variable],
-        rest: FloatArray,
-        conditions: Conditions,
-        sampling_time: float,
-        seed: int,
+        self, inputs: Sequence[Variable], rest: FloatArray, conditions: Conditions, sampling_time: float
     ) -> None:
-        self._conditions, self._seed, self._rest = conditions, seed, rest
+        self._conditions, self._rest, self._sampling_time = conditions, rest, sampling_time
         all_names = names(inputs)
         is_driven = np.array([name not in conditions.inputs for name in all_names], dtype=bool)
         self._places = np.flatnonzero(is_driven), np.flatnonzero(~is_driven)
         self._driven = [variable for variable in inputs if variable.name not in conditions.inputs]
         self._others = [variable for variable in inputs if variable.name in conditions.inputs]
-        self._effects = _effects("actuator", names(self._driven), conditions, (sampling_time, seed))
         changed = names(changed_inputs(conditions, inputs))
         self._changed = np.array([all_names.index(name) for name in changed], dtype=np.intp)
+
+    def draw_from(self, seed: int) -> None:
+        """Have all random signals of the next runs from a seed."""
+        self._seed, setup = seed, (self._sampling_time, seed)
+        self._effects = _effects("actuator", names(self._driven), self._conditions, setup)
 
     def start(self, time: FloatArray, *, ahead: int = 0, in_experiment: bool, continues: bool) -> None:
         """Draw the signals of a run at its times [s], shape (K,), which starts from rest or continues one.
@@ -419,10 +416,6 @@ class Sensors:
         What the sensors do.
     sampling_time : float
         Time between samples [s].
-    seed : int
-        Seed of random signals.
-    normal : MixedNormal
-        Draws the noise.
 
     Attributes
     ----------
@@ -436,13 +429,15 @@ class Sensors:
         deviation: FloatArray,
         conditions: Conditions,
         sampling_time: float,
-        seed: int,
-        normal: MixedNormal,
     ) -> None:
-        self._conditions, self._seed, self._normal = conditions, seed, normal
+        self._conditions, self._sampling_time = conditions, sampling_time
         self._outputs, self._names = outputs, names(outputs)
         self._deviation, self._is_noisy = deviation, bool(deviation.any())
-        self._effects = _effects("sensor", self._names, conditions, (sampling_time, seed))
+
+    def draw_from(self, seed: int, normal: MixedNormal) -> None:
+        """Have all random signals of the next runs from a seed, and the noise from its own streams."""
+        self._seed, self._normal = seed, normal
+        self._effects = _effects("sensor", self._names, self._conditions, (self._sampling_time, seed))
 
     def start(self, time: FloatArray, *, in_experiment: bool, continues: bool) -> None:
         """Draw disturbances and losses of a run at its times [s], shape (K,), as for actuators."""

@@ -36,8 +36,6 @@ class ActingDisturbances:
         Of the loop.
     sampling_time : float
         Time between samples [s].
-    seed : int
-        Seed of errors of forecasts.
     forecast_horizon : int or None
         The longest horizon of all controllers that are compared; none: that of the one in the loop.
 
@@ -73,10 +71,9 @@ class ActingDisturbances:
         plant: Plant,
         conditions: Conditions,
         sampling_time: float,
-        seed: int,
         forecast_horizon: int | None,
     ) -> None:
-        self.declared, self._sampling_time, self._seed = declared, sampling_time, seed
+        self.declared, self._sampling_time = declared, sampling_time
         self._forecast_horizon = forecast_horizon
         self.conditions = self._given_signals(plant, conditions, recorded)
         inputs = {variable.name: variable for variable in plant.inputs}
@@ -90,6 +87,10 @@ class ActingDisturbances:
         self.courses = np.empty((0, 0))
         self.told_places = np.flatnonzero([disturbance.is_known for disturbance in declared.values()])
         self.told = tuple(self.sensed[place] for place in self.places[self.told_places])
+
+    def draw_from(self, seed: int) -> None:
+        """Have errors of forecasts of the next runs from a seed."""
+        self._seed = seed
 
     def _given_signals(
         self, plant: Plant, conditions: Conditions, recorded: Mapping[str, Reference]

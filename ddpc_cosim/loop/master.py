@@ -8,12 +8,11 @@ inputs until the next sample. The experiment that records data is the same loop 
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import replace
-from functools import wraps
-from inspect import signature
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property, wraps
 from math import inf
 from types import MappingProxyType
-from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, cast, get_args, get_type_hints
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from ddpc_cosim.errors import (
 )
 from ddpc_cosim.files.durations import shown
 from ddpc_cosim.loop.data_quality import recording_warnings
-from ddpc_cosim.loop.outlook import Limit, Outlook, Wanted
+from ddpc_cosim.loop.outlook import Limit, Limits, Outlook, Wanted, Wish
 from ddpc_cosim.loop.plant_control import PlantControl
 from ddpc_cosim.loop.safe_calls import (
     Decision,
@@ -233,33 +232,6 @@ def _driven(run: Steps[T]) -> T:
         return cast("T", end.value)
 
 
-class Driven(Protocol[P, T]):
-    """A run that asks its controller by itself; as ``stepwise`` it leaves that to the caller."""
-
-    stepwise: Callable[P, Steps[T]]
-
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run to the end and return the result."""
-
-
-def _by_itself(stepwise: Callable[P, Steps[T]]) -> Driven[P, T]:
-    """Have a run that stops at every sample ask its controller by itself."""
-
-    @wraps(stepwise)
-    @_on_one_thread
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        return _driven(stepwise(*args, **kwargs))
-
-    driven = cast("Any", run)
-    driven.stepwise = stepwise
-    # To whoever reads of it, it is a function that returns the result.
-    returns = get_args(get_type_hints(stepwise)["return"])[-1]
-    driven.__signature__ = signature(stepwise).replace(return_annotation=returns)
-    del driven.__wrapped__
-    return cast("Driven[P, T]", driven)
-
-
-@_by_itself
 def cosimulate(
     plant: Plant,
     controller: Controller | None,
@@ -294,7 +266,7 @@ def cosimulate(
     keeps_state: bool = False,
     store: RowStore | None = None,
     engine: Engine | None = None,
-) -> Steps[Trace]:
+) -> Trace:
     """Run one closed loop of a plant and a controller.
 
     Parameters
@@ -404,151 +376,309 @@ def cosimulate(
         warm_up=warm_up,
         warm_up_controller=warm_up_controller,
     )
-    signals = (outputs, measurements, bounds, noise, conditions)
-    setup = LoopSetup(
+    loop = ClosedLoop(
         plant,
-        sampling_time,
-        *signals,
-        seed,
-        preview,
-        open_loop=controller is None,
-        is_free=isinstance(controller, PlantControl) and reference == {},
+        controller,
+        sampling_time=sampling_time,
+        duration=duration,
+        reference=reference,
+        stabiliser=stabiliser,
+        bounds=bounds,
+        outputs=outputs,
+        measurements=measurements,
+        noise=noise,
+        conditions=conditions,
+        events=events,
+        preview=preview,
+        start_time=start_time,
+        continue_recording=continue_recording,
         disturbances=disturbances,
         recorded_disturbances=recorded_disturbances,
-        prices=prices,
+        recording_start=recording_start,
         forecast_horizon=forecast_horizon,
+        prices=prices,
         monitors=monitors,
         communication_step=communication_step,
+        warm_up=warm_up,
+        warm_up_controller=warm_up_controller,
+        resumed=resumed,
+        keeps_state=keeps_state,
     )
-    is_open_loop, controller = controller is None, controller or _NoController(_NOTHING)
-    wanted = {} if is_open_loop else setup.wanted({} if reference is None else reference)
-    steps = whole_steps(duration, sampling_time)
-    begun = 0 if resumed is None else resumed.samples
-    end = end_time(start_time, begun + steps, sampling_time)
-    check_events(events, end)
-    _check_choices(excitation, recording, stabiliser, continue_recording, warm_up, resumed)
-    warm_up_steps = whole_steps(warm_up, sampling_time) if warm_up else 0
-    if warm_up_steps > steps:
-        raise ConfigError(
-            f"warm_up = {warm_up:g} s is longer than the run, {duration:g} s; choose a shorter one"
+    mixture = noise.mixture if noise else ()
+    return loop.run(OneRun(seed, parameters, excitation, recording, mixture), store, engine)
+
+
+class OneRun(NamedTuple):
+    """What runs of a closed loop differ by; all as of :func:`cosimulate`, ``mixture`` as of its noise."""
+
+    seed: int
+    parameters: Mapping[str, ParameterValue] | None = None
+    excitation: Excitation | None = None
+    recording: Recording | None = None
+    mixture: Sequence[tuple[int, float]] = ()
+
+
+@dataclass(eq=False)
+class ClosedLoop:
+    """A plant and a controller in a loop, for runs that differ by their seeds and what these decide.
+
+    Parameters
+    ----------
+    plant, controller, ...
+        As of :func:`cosimulate`; of the noise only its deviations.
+
+    Raises
+    ------
+    ConfigError
+        They do not fit, whatever the seed.
+    """
+
+    plant: Plant
+    controller: Controller | None
+    _: KW_ONLY
+    sampling_time: float
+    duration: float
+    reference: Reference | Band | Wanted
+    stabiliser: Controller | None = None
+    bounds: Mapping[str, tuple[Limit, Limit]] | None = None
+    outputs: Sequence[str] | None = None
+    measurements: Sequence[str] | None = None
+    noise: GaussianNoise | None = None
+    conditions: Conditions | None = None
+    events: Sequence[ParameterChange] = ()
+    preview: int | None = None
+    start_time: float = 0.0
+    continue_recording: bool = False
+    disturbances: Mapping[str, KnownDisturbance] | None = None
+    recorded_disturbances: Mapping[str, Reference] | None = None
+    recording_start: float | None = None
+    forecast_horizon: int | None = None
+    prices: Mapping[str, Price] | None = None
+    monitors: Mapping[str, Band | None] | None = None
+    communication_step: float | None = None
+    warm_up: float = 0.0
+    warm_up_controller: Controller | None = None
+    resumed: Resumption | None = None
+    keeps_state: bool = False
+
+    def __post_init__(self) -> None:
+        is_open_loop = self.controller is None
+        self._driver = self.controller or _NoController(_NOTHING)
+        self._setup = LoopSetup(
+            self.plant,
+            self.sampling_time,
+            self.outputs,
+            self.measurements,
+            self.bounds,
+            self.noise,
+            self.conditions,
+            self.preview,
+            open_loop=is_open_loop,
+            is_free=isinstance(self.controller, PlantControl) and self.reference == {},
+            disturbances=self.disturbances,
+            recorded_disturbances=self.recorded_disturbances,
+            prices=self.prices,
+            forecast_horizon=self.forecast_horizon,
+            monitors=self.monitors,
+            communication_step=self.communication_step,
         )
-    learns = learns_from_recording(controller)
-    if learns and excitation is None and recording is None:
-        raise DataError(
-            f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
-        )
-    diagnostics: dict[str, float] = {}
-    if excitation is not None:
-        onwards = duration if continue_recording else 0.0
-        run = (start_time, end)
-        recorder = None if continue_recording else engine  # what conditions remember goes on
-        experiment = recorder.experiment if recorder else None
-        if experiment is None:
-            experiment = _experiment(
-                setup, excitation, stabiliser, wanted, parameters, recording_start, onwards, run, recorder
+        reference = {} if self.reference is None else self.reference
+        self._wanted = {} if is_open_loop else self._setup.wanted(reference)
+        self._steps = whole_steps(self.duration, self.sampling_time)
+        self._begun = 0 if self.resumed is None else self.resumed.samples
+        self._end = end_time(self.start_time, self._begun + self._steps, self.sampling_time)
+        check_events(self.events, self._end)
+
+    @cached_property
+    def _warm_up_steps(self) -> int:
+        """How many sampling intervals there are before the first sample."""
+        steps = whole_steps(self.warm_up, self.sampling_time) if self.warm_up else 0
+        if steps > self._steps:
+            lengths = f"warm_up = {self.warm_up:g} s is longer than the run, {self.duration:g} s"
+            raise ConfigError(f"{lengths}; choose a shorter one")
+        return steps
+
+    @cached_property
+    def _horizon(self) -> int:
+        return horizon_of(self._driver)
+
+    @cached_property
+    def _time(self) -> FloatArray:
+        """The times of all samples and of as many after them as the controller may look ahead [s]."""
+        count = self._steps + 1 + self._horizon
+        return self.start_time + (self._begun + np.arange(count, dtype=np.float64)) * self.sampling_time
+
+    @cached_property
+    def _ahead(self) -> tuple[Wish, Limits]:
+        """What is wanted, and the limits, at all times that the controller sees."""
+        visible = self._time[: self._steps + 1 + self._setup.preview_of(self._horizon)]
+        return self._setup.wish(self._wanted, visible), self._setup.limits(visible)
+
+    @_on_one_thread
+    def run(self, this: OneRun, store: RowStore | None = None, engine: Engine | None = None) -> Trace:
+        """Run once, by what the controller decides; all else as of :func:`cosimulate`."""
+        return _driven(self.stepwise(this, store, engine))
+
+    def stepwise(
+        self, this: OneRun, store: RowStore | None = None, engine: Engine | None = None
+    ) -> Steps[Trace]:
+        """Run once, and leave it to the caller to ask the controller at every sample."""
+        plant, controller, setup, parameters = self.plant, self._driver, self._setup, this.parameters
+        excitation, recording, sampling_time = this.excitation, this.recording, self.sampling_time
+        setup.draw_from(this.seed, this.mixture)
+        self._check_choices(excitation, recording)
+        first, samples = self._warm_up_steps, self._steps + 1
+        learns = learns_from_recording(controller)
+        if learns and excitation is None and recording is None:
+            raise DataError(
+                f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
             )
-            if recorder and stabiliser is None and recorder.used == "compiled":
-                recorder.experiment = experiment
-        else:
-            setup.pass_over(len(experiment.recording))
-        recording, y_plant = experiment.recording, experiment.y_plant
-        if stabiliser is not None:
-            diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
-    begin = start_time - warm_up_steps * sampling_time
-    warmer = warm_up_controller or (PlantControl() if setup.has_switches else _NoController(setup.rest))
-    switched = setup.switched(controller)
-    before = setup.switched(warmer) if warm_up_steps else switched
-    if not continue_recording:
-        plant.plan(setup.communication_step, inf if keeps_state else end)
-        reset_at = begin if resumed is None else resumed.reset_time
-        y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, reset_at)
-        if resumed is not None:
-            y_plant = _resume(plant, resumed, begin + begun * sampling_time)
-        if keeps_state:  # a plant that cannot is not to tell so after the run
-            serialise_plant(plant, begin)
-    elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
-        set_plant_parameters(plant, switched, start_time)
-    horizon = horizon_of(controller)
-    later = max(horizon, horizon_of(warmer)) if setup.disturbances.looks_ahead else 0
-    first, samples = warm_up_steps, steps + 1
-    whole = begin + (begun + np.arange(first + samples + later, dtype=np.float64)) * sampling_time
-    past, unknown = recording if continue_recording else None, tuple[str, ...]()
-    if first:
-        setup.start(whole, ahead=later)
-        warm = _warm_up(setup, warmer, wanted, whole, first, y_plant)
-        (past, unknown), y_plant = setup.taken_over(warmer, warm.recording), warm.y_plant
-        if switched != before:
-            set_plant_parameters(plant, switched, start_time)
-    time = start_time + (begun + np.arange(samples + horizon, dtype=np.float64)) * sampling_time
-    visible = time[: samples + setup.preview_of(horizon)]
-    wish, limits = setup.wish(wanted, visible), setup.limits(visible)
-    loop = setup.loop(
-        CONTROLLER_STREAM,
-        horizon,
-        limits,
-        recording,
-        is_band=wish.is_band,
-        continues=continue_recording,
-        past=past,
-    )
-    start = engine.start if engine else start_controller
-    start(controller, loop)
-    settings = controller_settings(controller)
-    knowledge = controller_knowledge(controller, loop)
-    warnings = recording_warnings(loop, wish.reference) if learns else ()
-    warnings += controller_warnings(controller)
-    warnings += () if isinstance(controller, PlantControl) else unknown
-    rows = _Rows(setup, time[:samples], wanted, store)
-    if not first:
-        setup.start(whole, ahead=later, continues=continue_recording)
-    if conditions is not None and conditions.loses:
-        setup.hand_over(accepts_missing=does_accept_missing(controller))
-    rows.look(setup.outlook(wish, limits, time, first, samples, horizon, loop.preview))
-    outcome, reason, transient = yield from _closed_loop(
-        setup, controller, loop, rows, y_plant, events, first, engine
-    )
-    try:
-        diagnostics = controller_diagnostics(controller) | diagnostics
-    except ControllerError as error:
-        if outcome is Outcome.COMPLETED:
-            outcome, reason = Outcome.CONTROLLER_ERROR, f"after the last sample: {error}"
-    state = b""
-    if keeps_state and outcome is Outcome.COMPLETED:
+        diagnostics: dict[str, float] = {}
+        if excitation is not None:
+            experiment = self._experiment(excitation, parameters, None if self.continue_recording else engine)
+            recording, y_plant = experiment.recording, experiment.y_plant
+            if self.stabiliser is not None:
+                diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
+        begin = self.start_time - first * sampling_time
+        own = PlantControl() if setup.has_switches else _NoController(setup.rest)
+        warmer = self.warm_up_controller or own
+        switched = setup.switched(controller)
+        before = setup.switched(warmer) if first else switched
+        if not self.continue_recording:
+            plant.plan(setup.communication_step, inf if self.keeps_state else self._end)
+            reset_at = begin if self.resumed is None else self.resumed.reset_time
+            y_plant = reset_plant(plant, {**(parameters or {}), **before} or parameters, reset_at)
+            if self.resumed is not None:
+                y_plant = _resume(plant, self.resumed, begin + self._begun * sampling_time)
+            if self.keeps_state:  # a plant that cannot is not to tell so after the run
+                serialise_plant(plant, begin)
+        elif isinstance(controller, PlantControl):  # it takes over from who drove the experiment
+            set_plant_parameters(plant, switched, self.start_time)
+        horizon = self._horizon
+        later = max(horizon, horizon_of(warmer)) if setup.disturbances.looks_ahead else 0
+        whole = begin + (self._begun + np.arange(first + samples + later, dtype=np.float64)) * sampling_time
+        past, unknown = recording if self.continue_recording else None, tuple[str, ...]()
+        if first:
+            setup.start(whole, ahead=later)
+            warm = _warm_up(setup, warmer, self._wanted, whole, first, y_plant)
+            (past, unknown), y_plant = setup.taken_over(warmer, warm.recording), warm.y_plant
+            if switched != before:
+                set_plant_parameters(plant, switched, self.start_time)
+        time, (wish, limits) = self._time, self._ahead
+        loop = setup.loop(
+            CONTROLLER_STREAM,
+            horizon,
+            limits,
+            recording,
+            is_band=wish.is_band,
+            continues=self.continue_recording,
+            past=past,
+        )
+        start = engine.start if engine else start_controller
+        start(controller, loop)
+        settings = controller_settings(controller)
+        knowledge = controller_knowledge(controller, loop)
+        warnings = recording_warnings(loop, wish.reference) if learns else ()
+        warnings += controller_warnings(controller)
+        warnings += () if isinstance(controller, PlantControl) else unknown
+        rows = _Rows(setup, time[:samples], self._wanted, store)
+        if not first:
+            setup.start(whole, ahead=later, continues=self.continue_recording)
+        if self.conditions is not None and self.conditions.loses:
+            setup.hand_over(accepts_missing=does_accept_missing(controller))
+        rows.look(setup.outlook(wish, limits, time, first, samples, horizon, loop.preview))
+        outcome, reason, transient = yield from _closed_loop(
+            setup, controller, loop, rows, y_plant, self.events, first, engine
+        )
         try:
-            state = serialise_plant(plant, end)
-        except (ConfigError, FMUStepError) as error:
-            outcome = OUTCOME_OF[error.status] if isinstance(error, FMUStepError) else Outcome.FMU_ERROR
-            reason = f"after the last sample: {error}"
-    return Trace(
-        **rows.written(),
-        state=state,
-        inputs=setup.inputs,
-        changed_inputs=setup.changed_inputs,
-        outputs=setup.outputs,
-        measurements=setup.measurements,
-        bounds=limits.bounds,
-        sampling_time=sampling_time,
-        planned_samples=steps + 1,
-        preview=loop.preview,
-        outcome=outcome,
-        reason=reason,
-        transient=transient,
-        settings=settings,
-        diagnostics=diagnostics,
-        recorded_samples=len(recording) if recording is not None and learns else 0,
-        knowledge=knowledge,
-        provenance=plant_provenance(plant),  # after the run, of which it may have something to say
-        warnings=warnings,
-        disturbances=setup.disturbances.told,
-        acting=(*setup.disturbances.declared, *([OWN_NOISE] if plant.is_noisy else [])),
-        bands=loop.bands,
-        moving_limits=limits.moving,
-        charges=setup.charged.charges,
-        monitors=setup.monitors,
-        monitored_bands=setup.monitored_bands,
-        substeps=setup.substeps,
-        intersample_signals=tuple(plant.outputs[i] for i in setup.intersample),
-    )
+            diagnostics = controller_diagnostics(controller) | diagnostics
+        except ControllerError as error:
+            if outcome is Outcome.COMPLETED:
+                outcome, reason = Outcome.CONTROLLER_ERROR, f"after the last sample: {error}"
+        state = b""
+        if self.keeps_state and outcome is Outcome.COMPLETED:
+            try:
+                state = serialise_plant(plant, self._end)
+            except (ConfigError, FMUStepError) as error:
+                outcome = OUTCOME_OF[error.status] if isinstance(error, FMUStepError) else Outcome.FMU_ERROR
+                reason = f"after the last sample: {error}"
+        return Trace(
+            **rows.written(),
+            state=state,
+            inputs=setup.inputs,
+            changed_inputs=setup.changed_inputs,
+            outputs=setup.outputs,
+            measurements=setup.measurements,
+            bounds=limits.bounds,
+            sampling_time=sampling_time,
+            planned_samples=samples,
+            preview=loop.preview,
+            outcome=outcome,
+            reason=reason,
+            transient=transient,
+            settings=settings,
+            diagnostics=diagnostics,
+            recorded_samples=len(recording) if recording is not None and learns else 0,
+            knowledge=knowledge,
+            provenance=plant_provenance(plant),  # after the run, of which it may have something to say
+            warnings=warnings,
+            disturbances=setup.disturbances.told,
+            acting=(*setup.disturbances.declared, *([OWN_NOISE] if plant.is_noisy else [])),
+            bands=loop.bands,
+            moving_limits=limits.moving,
+            charges=setup.charged.charges,
+            monitors=setup.monitors,
+            monitored_bands=setup.monitored_bands,
+            substeps=setup.substeps,
+            intersample_signals=tuple(plant.outputs[i] for i in setup.intersample),
+        )
+
+    def _check_choices(self, excitation: Excitation | None, recording: Recording | None) -> None:
+        """Raise ConfigError for keywords that contradict each other."""
+        faults = []
+        if self.resumed is not None and (self.continue_recording or self.warm_up):
+            faults.append("resumed goes with neither continue_recording nor warm_up: the plant has one start")
+        if excitation is not None and recording is not None:
+            faults.append("give an excitation or a recording, not both")
+        if excitation is None and self.stabiliser is not None:
+            faults.append("stabiliser needs an excitation, which is added to its inputs")
+        if excitation is None and self.continue_recording:
+            faults.append(
+                "continue_recording needs an excitation: the experiment whose end the loop starts from"
+            )
+        if self.continue_recording and self.warm_up:
+            faults.append(
+                "warm_up does not go with continue_recording, where the loop goes on from the experiment"
+            )
+        if faults:
+            raise ConfigError(faults)
+
+    def _experiment(
+        self,
+        excitation: Excitation,
+        parameters: Mapping[str, ParameterValue] | None,
+        engine: Engine | None,
+    ) -> "Stretch":
+        """Return the experiment of a run, which the engine may have from another one."""
+        if engine and engine.experiment:
+            self._setup.pass_over(len(engine.experiment.recording))
+            return engine.experiment
+        onwards = self.duration if self.continue_recording else 0.0
+        run = (self.start_time, self._end)
+        experiment = _experiment(
+            self._setup,
+            excitation,
+            self.stabiliser,
+            self._wanted,
+            parameters,
+            self.recording_start,
+            onwards,
+            run,
+            engine,
+        )
+        if engine and self.stabiliser is None and engine.used == "compiled":
+            engine.experiment = experiment
+        return experiment
 
 
 def _resume(plant: Plant, resumed: Resumption, time: float) -> FloatArray:
@@ -557,32 +687,6 @@ def _resume(plant: Plant, resumed: Resumption, time: float) -> FloatArray:
     if resumed.changed:
         set_plant_parameters(plant, resumed.changed, time)
     return y_plant
-
-
-def _check_choices(
-    excitation: Excitation | None,
-    recording: Recording | None,
-    stabiliser: Controller | None,
-    continue_recording: bool,
-    warm_up: float,
-    resumed: Resumption | None,
-) -> None:
-    """Raise ConfigError for keywords that contradict each other."""
-    faults = []
-    if resumed is not None and (continue_recording or warm_up):
-        faults.append("resumed goes with neither continue_recording nor warm_up: the plant has one start")
-    if excitation is not None and recording is not None:
-        faults.append("give an excitation or a recording, not both")
-    if excitation is None and stabiliser is not None:
-        faults.append("stabiliser needs an excitation, which is added to its inputs")
-    if excitation is None and continue_recording:
-        faults.append("continue_recording needs an excitation: the experiment whose end the loop starts from")
-    if continue_recording and warm_up:
-        faults.append(
-            "warm_up does not go with continue_recording, where the loop goes on from the experiment"
-        )
-    if faults:
-        raise ConfigError(faults)
 
 
 @_on_one_thread
@@ -620,7 +724,7 @@ def record(
         recorded_disturbances=recorded_disturbances,
         recording_start=recording_start,
     )
-    signals = (outputs, measurements, bounds, noise, conditions, seed, preview)
+    signals = (outputs, measurements, bounds, noise, conditions, preview)
     setup = LoopSetup(
         plant,
         sampling_time,
@@ -628,6 +732,7 @@ def record(
         disturbances=disturbances,
         recorded_disturbances=recorded_disturbances,
     )
+    setup.draw_from(seed, noise.mixture if noise else ())
     wanted = {} if stabiliser is None else setup.wanted(reference or {})
     return _experiment(setup, excitation, stabiliser, wanted, parameters, recording_start).recording
 

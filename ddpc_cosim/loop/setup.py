@@ -269,7 +269,7 @@ class LoopSetup:
     ----------
     plant : Plant
         The plant.
-    sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview
+    sampling_time, outputs, measurements, bounds, noise, conditions, preview
         As in :func:`ddpc_cosim.cosimulate`.
     open_loop : bool
         Nothing is controlled: inputs without a signal rest at their start values.
@@ -294,7 +294,6 @@ class LoopSetup:
         bounds: Mapping[str, tuple[Limit, Limit]] | None,
         noise: GaussianNoise | None,
         conditions: Conditions | None,
-        seed: int,
         preview: int | None,
         *,
         open_loop: bool = False,
@@ -308,7 +307,6 @@ class LoopSetup:
     ) -> None:
         check_sampling_time(sampling_time)
         self.substeps = communication_steps(sampling_time, communication_step)
-        check_seed(seed)
         check_preview(preview)
         missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
         if missing and not open_loop:
@@ -319,7 +317,7 @@ class LoopSetup:
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
         self._monitors = monitors or {}
         check_names("monitors", self._monitors, plant.outputs)
-        self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
+        self.plant, self.sampling_time, self._preview = plant, sampling_time, preview
         self._outputs = np.array([available.index(name) for name in controlled], dtype=np.intp)
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.monitored = np.array([available.index(name) for name in self._monitors], dtype=np.intp)
@@ -333,7 +331,6 @@ class LoopSetup:
             plant,
             conditions or Conditions(),
             sampling_time,
-            seed,
             forecast_horizon,
         )
         conditions = self.disturbances.conditions
@@ -359,13 +356,27 @@ class LoopSetup:
         self.intersample = np.array([available.index(name) for name in between], dtype=np.intp)
         self._check_conditions(conditions)
         self.rest = self._resting()
-        self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time, seed)
+        self.actuators = Actuators(plant.inputs, self.rest, conditions, sampling_time)
         deviation = self._deviations(noise.standard_deviation if noise else {})
-        streams = noise.mixture if noise and noise.mixture else ((seed, 1.0),)
-        normal = MixedNormal(
-            [(np.random.default_rng([stream, NOISE_STREAM]), weight) for stream, weight in streams]
-        )
-        self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time, seed, normal)
+        self._sensors = Sensors(self.disturbances.sensed, deviation, conditions, sampling_time)
+
+    def draw_from(self, seed: int, mixture: Sequence[tuple[int, float]] = ()) -> None:
+        """Have all that is random in the next run from a seed, its noise from others if they are given.
+
+        Raises
+        ------
+        ConfigError
+            The seed is not possible.
+        """
+        check_seed(seed)
+        self._seed = seed
+        streams = [
+            (np.random.default_rng([stream, NOISE_STREAM]), weight)
+            for stream, weight in mixture or ((seed, 1.0),)
+        ]
+        self.disturbances.draw_from(seed)
+        self.actuators.draw_from(seed)
+        self._sensors.draw_from(seed, MixedNormal(streams))
 
     @property
     def communication_step(self) -> float:

@@ -30,12 +30,12 @@ from ddpc_cosim.loop.logged import LoggedPlant, LoggedSignals, TakingOver
 from ddpc_cosim.loop.master import (
     EARLY,
     OUTCOME_OF,
-    Engine,
+    ClosedLoop,
     NeedsPythonError,
+    OneRun,
     Resumption,
     Steps,
     Stretch,
-    cosimulate,
 )
 from ddpc_cosim.loop.outlook import Limit, Limits, intersample_signals, table_widths
 from ddpc_cosim.loop.setup import EngineName, communication_steps
@@ -578,9 +578,9 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
     """Run cases of this project's controllers and plants that differ by these and seeds alone; yield traces.
 
-    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one. So is each
-    controller made once: started again, it knows nothing of the run before. Where cases with the same seed
-    follow each other, their experiment is made once.
+    An FMU of theirs is unpacked and loaded once: no instance of it is known to another one. So is the loop of
+    each controller made once: started again, it knows nothing of the run before. Where cases with the same
+    seed follow each other, their experiment is made once.
     """
     kept, plant, prepared = ExitStack(), None, dict[str, _Prepared]()
     last: tuple[Any, Stretch | None] = None, None
@@ -596,7 +596,7 @@ def run_alike(cases: Sequence[Case]) -> Iterator[Trace]:
             safe_calls.announce_calls(store.announce)
             if case.controller not in prepared and case.engine == "compiled":
                 with suppress(CosimError):  # as above
-                    prepared[case.controller] = _Prepared.of(case)
+                    prepared[case.controller] = _Prepared.of(case, plant)
             of_case, experiment = prepared.get(case.controller), _decisive_in_experiment(case)
             if of_case is not None:
                 of_case.engine.experiment = last[1] if experiment == last[0] else None
@@ -742,17 +742,17 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
 
 
 class _Prepared(NamedTuple):
-    """The controller of a case and the compiled engine, for all cases that differ by their seeds alone."""
+    """The loop of a case and the compiled engine, for all cases that differ by their seeds alone."""
 
-    controller: Controller | None
+    loop: ClosedLoop
     engine: "CompiledEngine"
 
     @classmethod
-    def of(cls, case: Case) -> Self:
-        """Make them; raises what keeps the controller from being made."""
+    def of(cls, case: Case, plant: Plant) -> Self:
+        """Make them; raises what keeps the loop from being made."""
         from ddpc_cosim.compiled.engine import CompiledEngine
 
-        return cls(_controller(case.section, case.plant), CompiledEngine())
+        return cls(_closed_loop(case, plant, _controller(case.section, case.plant)), CompiledEngine())
 
 
 def _run(case: Case, plant: Plant, store: RowStore, prepared: _Prepared | None = None) -> Trace:
@@ -760,9 +760,9 @@ def _run(case: Case, plant: Plant, store: RowStore, prepared: _Prepared | None =
     reason = ""
     try:
         if case.engine == "compiled":
-            controller, engine = prepared or _Prepared.of(case)
+            loop, engine = prepared or _Prepared.of(case, plant)
             try:
-                trace = _close_the_loop(case, plant, controller, store, engine)
+                trace = _with_data(case, loop.run(_one_run(case), store, engine))
             except NeedsPythonError as error:
                 reason = f"python: {error}"
             else:
@@ -795,51 +795,54 @@ def _close_the_loop(
     plant: Plant,
     controller: Controller | None,
     store: RowStore | None,
-    engine: Engine | None = None,
 ) -> Trace:
-    trace = cosimulate(plant, controller, store=store, engine=engine, **_arguments(case))
-    return _with_data(case, trace)
+    loop = _closed_loop(case, plant, controller)
+    return _with_data(case, loop.run(_one_run(case), store))
 
 
 def stepwise(case: Case, plant: Plant, controller: Controller, store: RowStore) -> Steps[Trace]:
     """Run a case with a plant and a controller that are made already, stopping at every sample."""
-    trace = yield from cosimulate.stepwise(plant, controller, store=store, **_arguments(case))
+    trace = yield from _closed_loop(case, plant, controller).stepwise(_one_run(case), store)
     return _with_remarks(case, _with_data(case, trace))
 
 
-def _arguments(case: Case) -> dict[str, Any]:
-    """Return what a case says of its loop, as :func:`cosimulate` takes it."""
+def _closed_loop(case: Case, plant: Plant, controller: Controller | None) -> ClosedLoop:
+    """Return what a case says of its loop, whatever its seed."""
     warm_up = case.warm_up_controller
-    return {
-        "sampling_time": case.sampling_time,
-        "duration": case.duration,
-        "reference": case.reference,
-        "excitation": case.excitation and case.excitation.with_seed(case.seed),
-        "recording": case.recording,
-        "stabiliser": _controller(case.stabiliser, case.plant) if case.stabiliser else None,
-        "bounds": case.bounds,
-        "outputs": names(case.outputs),
-        "measurements": names(case.measurements),
-        "parameters": case.parameters,
-        "noise": GaussianNoise(case.noise, case.noise_mixture) if case.noise else None,
-        "conditions": case.conditions,
-        "events": case.events,
-        "preview": case.preview,
-        "seed": case.seed,
-        "start_time": case.start_time,
-        "continue_recording": case.continue_recording,
-        "disturbances": case.disturbances,
-        "recorded_disturbances": case.recorded_disturbances,
-        "recording_start": case.recording_start,
-        "forecast_horizon": case.forecast_horizon,
-        "prices": case.prices,
-        "monitors": case.monitors,
-        "communication_step": case.communication_step,
-        "warm_up": case.warm_up,
-        "warm_up_controller": None if warm_up is None else _controller(warm_up, case.plant),
-        "resumed": case.resumed,
-        "keeps_state": case.keeps_state,
-    }
+    return ClosedLoop(
+        plant,
+        controller,
+        sampling_time=case.sampling_time,
+        duration=case.duration,
+        reference=case.reference,
+        stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
+        bounds=case.bounds,
+        outputs=names(case.outputs),
+        measurements=names(case.measurements),
+        noise=GaussianNoise(case.noise) if case.noise else None,
+        conditions=case.conditions,
+        events=case.events,
+        preview=case.preview,
+        start_time=case.start_time,
+        continue_recording=case.continue_recording,
+        disturbances=case.disturbances,
+        recorded_disturbances=case.recorded_disturbances,
+        recording_start=case.recording_start,
+        forecast_horizon=case.forecast_horizon,
+        prices=case.prices,
+        monitors=case.monitors,
+        communication_step=case.communication_step,
+        warm_up=case.warm_up,
+        warm_up_controller=None if warm_up is None else _controller(warm_up, case.plant),
+        resumed=case.resumed,
+        keeps_state=case.keeps_state,
+    )
+
+
+def _one_run(case: Case) -> OneRun:
+    """Return what a case is among others of its loop."""
+    excitation = case.excitation and case.excitation.with_seed(case.seed)
+    return OneRun(case.seed, case.parameters, excitation, case.recording, case.noise_mixture)
 
 
 def _with_data(case: Case, trace: Trace) -> Trace:
