@@ -535,7 +535,7 @@ class ClosedLoop:
             )
         diagnostics: dict[str, float] = {}
         if excitation is not None:
-            experiment = self._experiment(excitation, parameters, None if self.continue_recording else engine)
+            experiment = self._recorded(excitation, parameters, None if self.continue_recording else engine)
             recording, y_plant = experiment.recording, experiment.y_plant
             if self.stabiliser is not None:
                 diagnostics["stabiliser_fallbacks"] = experiment.fallbacks
@@ -653,7 +653,7 @@ class ClosedLoop:
         if faults:
             raise ConfigError(faults)
 
-    def _experiment(
+    def _recorded(
         self,
         excitation: Excitation,
         parameters: Mapping[str, ParameterValue] | None,
