@@ -11,7 +11,8 @@ from collections import ChainMap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
+from statistics import median
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -220,10 +221,11 @@ def compute_metrics(
     replaced = _third_parties().metrics
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
         for samples in (*responses, *actuations, *whole, *of_run, step_times):
+            key = _keys_of(samples)
             for name, metric in METRICS.items():
                 of_samples: Metric[Any] = metric
                 if isinstance(samples, metric.of) and name not in replaced and of_samples.exists(samples):
-                    table[_key(name, metric.unit, samples)] = of_samples.compute(samples)
+                    table[key(name, metric.unit)] = of_samples.compute(samples)
     return table
 
 
@@ -240,7 +242,7 @@ def compute_installed_metrics(trace: Any) -> dict[str, float]:
             value = float(metric.compute(deepcopy(trace)))
         except (Exception, SystemExit) as error:  # a third party's function can fail in any way
             faults = (*faults, f"metric {name}: {type(error).__name__}: {error}")
-        table[_key(name, metric.unit, trace)] = value
+        table[_key(name, metric.unit)] = value
     for fault in faults:
         warnings.warn(fault, CosimWarning, stacklevel=2)
     return table
@@ -311,20 +313,27 @@ def _fault(plugin: Plugin) -> str:
     return ""
 
 
-def _key(name: str, unit: str, samples: Any) -> str:
+def _keys_of(samples: Any) -> Callable[[str, str], str]:
+    """Return what makes the keys of metrics of some samples from their names and units."""
     if isinstance(samples, SampledSignal):
-        return _key_of_signal(name, unit, samples.variable)
-    if isinstance(samples, Charged | KeyFigures) and unit.startswith("money"):
-        unit = unit.replace("money", samples.money, 1)
+        return _keys_of_signal(samples.variable)
+    return partial(_key_in, samples.money) if isinstance(samples, Charged | KeyFigures) else _key
+
+
+def _keys_of_signal(variable: Variable) -> Callable[[str, str], str]:
+    return partial(_key_shown_in, variable.name, variable.shown_in.name)
+
+
+def _key(name: str, unit: str) -> str:
     return f"{name} [{unit}]"
 
 
-def _key_of_signal(name: str, unit: str, variable: Variable) -> str:
-    return _key_shown_in(name, unit, variable.name, variable.shown_in.name)
+def _key_in(money: str, name: str, unit: str) -> str:
+    return _key(name, unit.replace("money", money, 1) if unit.startswith("money") else unit)
 
 
 @cache
-def _key_shown_in(name: str, unit: str, signal: str, shown: str) -> str:
+def _key_shown_in(signal: str, shown: str, name: str, unit: str) -> str:
     units = {"difference": shown, "value": shown}
     units |= {f"difference.{time}": f"{shown}.{time}".lstrip(".") for time in ("s", "h")}
     return f"{name}.{signal} [{units.get(unit, unit) or '1'}]"
@@ -368,13 +377,13 @@ def expected_keys(
                 if not (is_of_band and v.name not in banded)
                 and not (metric.exists is _has_steps and v.name in banded)
             ]
-            keys += [_key_of_signal(name, metric.unit, v) for v in signals]
+            keys += [_keys_of_signal(v)(name, metric.unit) for v in signals]
         elif issubclass(metric.of, Actuation):
-            keys += [_key_of_signal(name, metric.unit, v) for v in inputs]
+            keys += [_keys_of_signal(v)(name, metric.unit) for v in inputs]
         elif metric.of not in of_run:  # of a third party
-            keys.append(_key(name, metric.unit, None))
+            keys.append(_key(name, metric.unit))
         elif (samples := of_run[metric.of]) is not None and of_kind.exists(samples):
-            keys.append(_key(name, metric.unit, samples))
+            keys.append(_keys_of(samples)(name, metric.unit))
     return tuple(keys)
 
 
@@ -408,7 +417,6 @@ def _or_nan(figure: Callable[[FloatArray], np.float64]) -> Callable[[FloatArray]
 
 # Of few values, what stands around a reduction in NumPy takes longer than it.
 _largest, _smallest = _or_nan(np.maximum.reduce), _or_nan(np.minimum.reduce)
-_total = _or_nan(np.add.reduce)
 _mean = _or_nan(lambda values: np.add.reduce(values) / values.size)
 
 
@@ -422,22 +430,26 @@ def _percentile(values: FloatArray, percent: float) -> float:
     return float(np.percentile(values, percent))
 
 
+def _of_all(figure: Callable[[Sequence[float]], float], values: Sequence[float]) -> float:
+    """Return a figure of a few values; NaN where there are none, or one is NaN."""
+    return figure(values) if values and not any(map(math.isnan, values)) else math.nan
+
+
 def _has_steps(response: Response) -> bool:
     return not isinstance(response, BandResponse)
 
 
 def _settled_error(response: Response) -> float:
     factor = abs(response.variable.shown_in.factor)
-    return factor * _largest(np.array([stretch.settled_error for stretch in response.stretches]))
+    return factor * _of_all(max, [stretch.settled_error for stretch in response.stretches])
 
 
 def _settled_share(response: Response) -> float:
-    shares = [step.settled_error / abs(step.size) for step in response.steps]
-    return 100 * _largest(np.array(shares))
+    return 100 * _of_all(max, [step.settled_error / abs(step.size) for step in response.steps])
 
 
 def _overshoot(response: Response) -> float:
-    return 100 * _largest(np.array([step.overshoot for step in response.steps]))
+    return 100 * _of_all(max, [step.overshoot for step in response.steps])
 
 
 def _time_at_bounds(actuation: Actuation) -> float:
@@ -454,16 +466,16 @@ def _limits_kept(response: Response) -> float:
 
 
 def _rise_time(response: Response) -> float:
-    return response.sampling_time * _percentile(np.array([step.rise_samples for step in response.steps]), 50)
+    return response.sampling_time * _of_all(median, [step.rise_samples for step in response.steps])
 
 
 def _settling_time(response: Response) -> float:
-    return response.sampling_time * _largest(np.array([step.settling_samples for step in response.steps]))
+    return response.sampling_time * _of_all(max, [step.settling_samples for step in response.steps])
 
 
 def _anticipation(response: Response) -> float:
     known = [n for step in response.steps if not math.isnan(n := step.anticipation_samples)]
-    return response.sampling_time * _largest(np.array(known))
+    return response.sampling_time * _of_all(max, known)
 
 
 _Any = (
@@ -480,7 +492,7 @@ METRICS: dict[str, _Any] = {
         Response,
         "Mean absolute error",
         "mean of |reference - output| over the samples",
-        lambda r: _mean(r.magnitude),
+        lambda r: r.total / max(r.magnitude.size, 1),
         of_band="Mean distance to the band",
     ),
     "rmse": Metric(
@@ -494,14 +506,14 @@ METRICS: dict[str, _Any] = {
         Response,
         "Sum of absolute errors",
         "sum of |reference - output| over the samples, as in the paper",
-        lambda r: _total(r.magnitude),
+        lambda r: r.total,
         shown=(),
     ),
     "iae": Metric(
         Response,
         "IAE",
         "integral of |reference - output| over time",
-        lambda r: _total(r.magnitude) * r.sampling_time,
+        lambda r: r.total * r.sampling_time,
         "difference.s",
         shown=(),
     ),
@@ -582,7 +594,7 @@ METRICS: dict[str, _Any] = {
         BandResponse,
         "Discomfort",
         "integral of the distance to the band over time",
-        lambda r: _total(r.magnitude) * r.sampling_time / _HOUR,
+        lambda r: r.total * r.sampling_time / _HOUR,
         "difference.h",
     ),
     "band_violation_time": Metric(

@@ -81,6 +81,11 @@ class Response(SampledSignal):
         return self.reference - self.values
 
     @cached_property
+    def distance(self) -> FloatArray:
+        """The difference without its sign."""
+        return np.abs(self.difference)
+
+    @cached_property
     def error(self) -> FloatArray:
         """Reference minus output, in the display unit."""
         return self.difference * self.variable.shown_in.factor
@@ -89,6 +94,11 @@ class Response(SampledSignal):
     def magnitude(self) -> FloatArray:
         """The error without its sign."""
         return np.abs(self.error)
+
+    @cached_property
+    def total(self) -> float:
+        """The sum of the errors without their signs; NaN without samples."""
+        return _total(self.magnitude)
 
     @cached_property
     def beyond(self) -> FloatArray:
@@ -153,16 +163,17 @@ class Response(SampledSignal):
         y = self.values
         if not len(y):
             return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
-        at_rest = _AT_REST * max(self._farthest, float(np.abs(y).max()))
-        deviation = self._deviation
+        lowest, highest = float(np.minimum.reduce(y)), float(np.maximum.reduce(y))
+        at_rest = _AT_REST * max(self._farthest, -lowest, highest)
+        deviation = self._deviation(lowest, highest)
         return Tracking(
             output=self.variable.name,
             travel=self._travel(at_rest),
             room=_mean(self.limits[1] - self.limits[0]),
             nominal=max(self.variable.nominal, self._farthest),
             deviation=deviation if deviation > at_rest else 0.0,
-            scatter=_scatter(y),
-            mean_abs_error=_mean(np.abs(self.difference)),
+            scatter=_scatter(y, highest - lowest),
+            mean_abs_error=_mean(self.distance),
             factor=abs(self.variable.shown_in.factor),
             ends=tuple(self._ends) or (self._end(self._last_fifth),),
             width=self._width,
@@ -175,9 +186,10 @@ class Response(SampledSignal):
         travel = max(self._highest, first) - min(self._lowest, first)
         return travel if self._highest > self._lowest or travel > at_rest else 0.0
 
-    @property
-    def _deviation(self) -> float:
-        return float(np.abs(self.values - self.values[0]).max())
+    def _deviation(self, lowest: float, highest: float) -> float:
+        """Return how far the output, between its lowest and its highest value, goes from where it begins."""
+        first = float(self.values[0])
+        return max(highest - first, first - lowest)
 
     @property
     def _width(self) -> float | None:
@@ -202,7 +214,8 @@ class Response(SampledSignal):
 
     def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
         moves = self.disturbed is not None and bool(self.disturbed[rows].any())
-        return EndWindow.of(self.difference, rows, step, settling=settling, disturbed=moves)
+        mean = abs(_mean(self.difference[rows]))
+        return EndWindow(rows.stop - rows.start, mean, _mean(self.distance[rows]), step, settling, moves)
 
 
 @dataclass(frozen=True)
@@ -235,9 +248,8 @@ class BandResponse(Response):
         travel = highest - float(min(self.band[:, 1].min(), self.values[0]))
         return travel if travel > at_rest else 0.0
 
-    @property
-    def _deviation(self) -> float:
-        return float(np.abs(self.difference).max())
+    def _deviation(self, lowest: float, highest: float) -> float:
+        return float(self.distance.max())
 
     @property
     def _width(self) -> float | None:
@@ -257,18 +269,22 @@ class BandResponse(Response):
         return float(max(upper - lower, lower - upper_before, lower_before - upper))
 
     def _end(self, rows: slice, step: float = 0.0, *, settling: bool = False) -> "EndWindow":
-        return EndWindow.of(np.abs(self.difference), rows, step, settling=settling)
+        mean = _mean(self.distance[rows])
+        return EndWindow(rows.stop - rows.start, mean, mean, step, settling)
 
 
-def _scatter(y: FloatArray) -> float:
-    """Return the standard deviation of what two samples do not tell of the next, of a signal, shape (K,)."""
-    size = float(np.ptp(y))
+def _scatter(y: FloatArray, size: float) -> float:
+    """Return the standard deviation of what two samples do not tell of the next.
+
+    Of a signal, shape (K,), and its largest less its smallest value.
+    """
     if len(y) < _FEWEST_FORETOLD or not 0.0 < size < math.inf:
         return 0.0
     x = (y - y[0]) / size
-    before = np.ones((len(x) - 2, 3))
-    before[:, 0], before[:, 1] = x[1:-1], x[:-2]
-    missed = np.sort(np.abs(x[2:] - before @ np.linalg.lstsq(before, x[2:])[0]))
+    before = np.empty((len(x) - 2, 3))
+    before[:, 0], before[:, 1], before[:, 2] = x[1:-1], x[:-2], 1.0
+    missed = np.abs(x[2:] - before @ np.linalg.lstsq(before, x[2:])[0])
+    missed.sort()
     # Steps of a reference or of a disturbance are among the largest: they do not scatter.
     kept = missed[: len(missed) - math.ceil(_TRIMMED * len(missed))]
     return size * _OF_TRIMMED * math.sqrt(float(kept @ kept) / (len(kept) - before.shape[1]))
@@ -300,21 +316,6 @@ class EndWindow:
     step: float = 0.0
     settling: bool = False
     disturbed: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        error: FloatArray,
-        rows: slice,
-        step: float = 0.0,
-        *,
-        settling: bool = False,
-        disturbed: bool = False,
-    ) -> Self:
-        """Return the window of an error, shape (K,), at its rows."""
-        window = error[rows]
-        mean, magnitude = abs(_mean(window)), _mean(np.abs(window))
-        return cls(len(window), mean, magnitude, step, settling, disturbed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,40 +435,41 @@ class Stretch:
     @property
     def overshoot(self) -> float:
         """How far the output goes beyond the new value, as a fraction of the step."""
-        return max(float(self._after.max()) - 1.0, 0.0)
+        return max(float(np.maximum.reduce(self._after)) - 1.0, 0.0)
 
     @property
     def rise_samples(self) -> float:
         """Samples from the step until the output is first at 90 % of it, as those of the settling time."""
-        there = np.flatnonzero(self._after >= _RISEN)
+        there = (self._after >= _RISEN).nonzero()[0]
         return float(there[0]) if there.size else math.nan
 
     @property
     def settling_samples(self) -> float:
         """Samples from the step until the output is within 5 % of it for the rest of the window."""
-        outside = np.flatnonzero(np.abs(self._after - 1.0) > _SETTLING_BAND)
+        outside = (np.abs(self._after - 1.0) > _SETTLING_BAND).nonzero()[0]
         after = int(outside[-1]) + 1 if outside.size else 0
         return float(after) if after < self.end - self.first else math.nan
 
     @property
     def anticipation_samples(self) -> float:
         """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
+        if self.first == 0:
+            return math.nan
         # An output that leaves before its controller knew of the step drifts.
         start = max(self.first - max(self.response.ahead, 1), 0)
-        path = self._path(start)[: self.first - start + 1]
-        at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)
-        if self.first == 0 or not at_rest.size or at_rest[0] > 0:
+        at_rest = (np.abs(self._path(start, self.first + 1)) <= _SETTLING_BAND).nonzero()[0]
+        if not at_rest.size or at_rest[0] > 0:
             return math.nan
         return float(max(self.first - start - int(at_rest[-1]) - 1, 0))
 
     @cached_property
     def _after(self) -> FloatArray:
         """The path from the step on."""
-        return self._path(self.first)
+        return self._path(self.first, self.end)
 
-    def _path(self, start: int) -> FloatArray:
-        """Return the output up to the window's end as a fraction of the step: 0 before it, 1 after it."""
-        return (self.response.values[start : self.end] - self.before) / self.size
+    def _path(self, start: int, end: int) -> FloatArray:
+        """Return the output at some samples as a fraction of the step: 0 before it, 1 after it."""
+        return (self.response.values[start:end] - self.before) / self.size
 
 
 @dataclass(frozen=True)

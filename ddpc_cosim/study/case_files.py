@@ -827,12 +827,12 @@ def _variable(stored: dict[str, Any]) -> Variable:
 
 def _finite(value: Any) -> Any:
     """Return JSON's version of a value: infinity and NaN, which JSON lacks, as text that ``float`` reads."""
+    if isinstance(value, float):  # most of what there is in a batch of cases
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if value is None or isinstance(value, (str, int)):
+        return value
     if isinstance(value, dict):
         return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else repr(float(value))
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())
-    return value if isinstance(value, str | int | bool | None) else repr(value)
+    return _finite(value.tolist()) if isinstance(value, (np.ndarray, np.generic)) else repr(value)
