@@ -13,7 +13,6 @@ from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, Parametr
 from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
-_SAME = 1e-10  # weights of a terminal condition far above the others leave no more digits
 _ROUNDING = 1e-15
 _EPSILON = np.finfo(float).eps
 
@@ -86,8 +85,7 @@ def _affine_laws(
     names, before = list[str](), np.empty((0, 0))
     for problem, kept in zip(problems, upper, strict=True):
         rows = np.concatenate([problem.excess_law[kept], problem.move_law[:answers]])
-        rounding = _SAME * np.abs(rows).max(axis=1, keepdims=True)
-        if names and before.shape == rows.shape and (np.abs(rows - before) <= rounding).all():
+        if names and np.array_equal(rows, before):
             names.append(names[-1])
             continue
         before = rows

@@ -14,7 +14,8 @@ from the unconstrained optimum in units of the cost, and so
     minimise |t|^2   subject to   e_0(p) + L t <= 0
 
 is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range. Limits that
-move with time are parameters: they change ``e_0(p)`` alone.
+move with time are parameters: they change ``e_0(p)`` alone. Bounds that give way, at a cost of ``c s^2`` for
+being exceeded by s, do not move the optimum without bounds, where s = 0: ``sqrt(c) s`` is one number more in t.
 
 Prices q, parameters too, of amounts ``a = A z`` add ``q' a`` to the cost. With ``t_0 = R w + P p`` the
 distance without them, R triangular, it is completed to a square,
@@ -29,8 +30,8 @@ block of rows, what of them the rows above do not determine.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # whose parts are imported when they are first used
@@ -166,6 +167,53 @@ class Coordinates(NamedTuple):
     weights: FloatArray
 
 
+class Optimum(NamedTuple):
+    """The optimum without bounds and what is near it: ``w = law p + gain t``, t in units of the cost.
+
+    Parameters
+    ----------
+    law, gain : arrays, shapes (k, parameters) and (k, k)
+        The free variables.
+    cost_law : array, shape (r, parameters)
+        The cost there is ``|cost_law p|^2``, and what is paid.
+    """
+
+    law: FloatArray
+    gain: FloatArray
+    cost_law: FloatArray
+
+
+class Bounds(NamedTuple):
+    """All bounds of a problem without its equalities, those included that others make redundant.
+
+    Parameters
+    ----------
+    law, gain : arrays, shapes (n, parameters) and (n, k)
+        By how much each is exceeded, in parts of its range.
+    relief, weights : arrays, shapes (n, s) and (s,)
+        How that changes with what those that can give way are exceeded by, and the weights of its squares.
+    labels : tuple of str
+        What they are called.
+    """
+
+    law: FloatArray
+    gain: FloatArray
+    relief: FloatArray
+    weights: FloatArray
+    labels: tuple[str, ...]
+
+    def tightest(self, *, softened: bool) -> dict[str, Any]:
+        """Return what a :class:`ReducedProblem` has of them; softened: those that can give way do."""
+        relief = self.relief if softened else self.relief[:, :0]
+        kept = _tightest(self.law, np.concatenate([self.gain, relief], axis=1))
+        return {
+            "excess_law": self.law[kept],
+            "excess_gain": self.gain[kept],
+            "relief": relief[kept] / np.sqrt(self.weights[: relief.shape[1]]),
+            "labels": tuple(self.labels[i] for i in kept.tolist()),
+        }
+
+
 @dataclass(frozen=True, slots=True)
 class ReducedProblem:
     """A tracking problem without its equalities, in the free variables w.
@@ -192,6 +240,10 @@ class ReducedProblem:
         What keeps the optimum determined, where that is not plain.
     of_past : array of bool, shape (rank,)
         Coordinates v that only add to what is given, where that is a block of its own without a weight.
+    bounds : Bounds
+        All bounds, of which these are the tightest.
+    relief : array, shape (n, s)
+        How the excess changes where bounds give way, by so much that it costs 1.
     """
 
     residual: FloatArray
@@ -208,36 +260,42 @@ class ReducedProblem:
     amount_law: FloatArray
     advice: str
     of_past: NDArray[np.bool_]
+    bounds: Bounds
+    relief: FloatArray
 
     @property
     def slope(self) -> FloatArray:
         """Half of the slope of what is paid over w, shape (k, parameters)."""
         return np.asarray(self.amount_gain.T @ self.prices / 2.0)
 
-    def optimise(self) -> CondensedProblem:
-        """Eliminate the unconstrained optimum.
+    def softened(self) -> "ReducedProblem":
+        """Return the same with bounds that give way at a cost, which leaves the optimum without bounds."""
+        return replace(self, **self.bounds.tightest(softened=True))
 
-        Raises
-        ------
-        ConfigError
-            The weights leave the optimum undetermined.
-        """
-        law, gain, cost_law = self._unconstrained_optimum()
+    def condensed(self, optimum: Optimum) -> CondensedProblem:
+        """Eliminate the optimum without bounds."""
+        law, gain, cost_law = optimum
+        no_relief = np.zeros((len(self.move_gain), self.relief.shape[1]))
         return CondensedProblem(
             self.excess_law + self.excess_gain @ law,
-            self.excess_gain @ gain,
+            np.concatenate([self.excess_gain @ gain, self.relief], axis=1),
             self.move_law + self.move_gain @ law,
-            self.move_gain @ gain,
+            np.concatenate([self.move_gain @ gain, no_relief], axis=1),
             self.conflict_law,
             self.labels,
             cost_law,
             (self.prices, self.amount_law + self.amount_gain @ law) if len(self.prices) else None,
         )
 
-    def _unconstrained_optimum(self, least: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ``w = law p + gain t`` such that the cost is |t|^2 and |cost_law p|^2, and that law.
+    def optimum(self, least: float = 0.0) -> Optimum:
+        """Return the optimum without bounds.
 
         ``least`` is the root of the weight of what only adds to the past.
+
+        Raises
+        ------
+        ConfigError
+            The weights leave it undetermined.
         """
         roots = [np.sqrt(cost.weights)[:, np.newaxis] for cost in self.g_costs]
         roots[0][self.of_past] = np.maximum(roots[0][self.of_past], least)
@@ -248,7 +306,7 @@ class ReducedProblem:
             terms.append(root * np.concatenate([v.gain, v.law], axis=1))
         factor = np.asarray(np.linalg.qr(np.concatenate(terms), mode="r"))
         if size == 0:
-            return np.zeros((0, factor.shape[1])), np.zeros((0, 0)), factor
+            return Optimum(np.zeros((0, factor.shape[1])), np.zeros((0, 0)), factor)
         factor, left = factor[:size], factor[size:, size:]
         triangular, projected = factor[:, :size], factor[:, size:]
         diagonal = np.abs(triangular.diagonal())
@@ -256,7 +314,7 @@ class ReducedProblem:
             ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
             if not least and self.of_past.any():
                 # Data without noise: some of their past is rounding alone, and no condition fixes it.
-                return self._unconstrained_optimum(_ROUNDING_COSTS * float(diagonal.max()))
+                return self.optimum(_ROUNDING_COSTS * float(diagonal.max()))
             raise ConfigError(
                 f"the weights leave the optimum undetermined ({size} directions, the weakest with "
                 f"{ratio:.1e} of the strongest's root of a curvature): make them positive and alike in "
@@ -268,7 +326,7 @@ class ReducedProblem:
         if len(self.prices):
             drawn = gain.T @ self.slope
             projected, left = projected + drawn, np.vstack([left, drawn])
-        return -gain @ projected, gain, left
+        return Optimum(-gain @ projected, gain, left)
 
 
 def condense(problem: Problem, data: FloatArray) -> CondensedProblem:
@@ -286,7 +344,8 @@ def condense(problem: Problem, data: FloatArray) -> CondensedProblem:
     ConfigError
         The weights leave the optimum undetermined.
     """
-    return reduce(problem, factorise(data, problem.weights)).optimise()
+    reduced = reduce(problem, factorise(data, problem.weights))
+    return reduced.condensed(reduced.optimum())
 
 
 def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
@@ -315,23 +374,25 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
             Coordinates(about, drawn, np.array(problem.origin_weights)[factor.blocks]),
         ]
     given = rows - problem.rows["u"] - problem.rows["y"]
-    law, gain = _excess(law, gain, limits)
-    kept, labels = _tightest(law, gain), problem.labels
+    weights = problem.excess_weights
+    relief = -np.eye(len(weights))[:, weights > 0.0]
+    law, gains = _excess(law, np.concatenate([gain, relief], axis=1), limits)
+    gain, relief = np.split(gains, [gain.shape[1]], axis=1)
+    bounds = Bounds(law, gain, relief, weights[weights > 0.0], problem.labels)
     return ReducedProblem(
         residual=residual,
         offset=offset - target,
         g_costs=tuple(g_costs),
-        excess_law=law[kept],
-        excess_gain=gain[kept],
         move_law=move_law,
         move_gain=move_gain,
         conflict_law=conflict,
-        labels=tuple(labels[i] for i in kept.tolist()),
         prices=np.eye(particular.shape[1])[prices],
         amount_gain=amount_gain,
         amount_law=amount_law,
         advice=problem.advice,
         of_past=(factor.blocks == 0) & (factor.weights == 0.0) & (problem.weights[0][0] == given),
+        bounds=bounds,
+        **bounds.tightest(softened=problem.softened),
     )
 
 

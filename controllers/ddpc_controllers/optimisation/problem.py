@@ -1,6 +1,7 @@
 """Quadratic problems written down in named variables as the papers print them, and their parameters."""
 
 from collections.abc import Iterator, Mapping
+from copy import copy
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -78,6 +79,8 @@ class Problem:
         What the finite limits are called: the upper ones, and then the lower ones.
     given_up : tuple of str
         What :meth:`relaxed` has made of a problem that cannot be solved as it was written down.
+    softened : bool
+        Whether bounds that can give way at a cost do so.
     advice : str
         What keeps the optimum determined, for the error where it is not.
     """
@@ -86,7 +89,6 @@ class Problem:
         self, rows: Mapping[str, int], free: Mapping[str, int], parameters: Mapping[str, int]
     ) -> None:
         self.rows, self.free = dict(rows), dict(free)
-        self._sizes = dict(parameters)
         self._variables, self._parameters = _places({**rows, **free}), _places(parameters)
         self._width, self._columns = sum(rows.values()) + sum(free.values()), sum(parameters.values())
         self._costs: list[tuple[FloatArray, FloatArray]] = []
@@ -94,6 +96,7 @@ class Problem:
         self._bounds: list[_Bound] = []
         self.paid = np.zeros((self._columns, self._width))
         self.given_up: tuple[str, ...] = ()
+        self.softened = False
         self.advice = ""
         self._wanted: list[FloatArray] = []
         self.weights: tuple[tuple[int, float], ...] = ((self.row_count, 0.0),)
@@ -186,39 +189,20 @@ class Problem:
         First what equalities there are to give way (the terminal condition) become costs, then bounds (of
         outputs) too.
         """
-        equalities = [equality for equality in self._equalities if equality.relaxed]
-        bounds = [] if equalities else [bound for bound in self._bounds if bound.relaxed]
-        if not equalities and not bounds:
+        easier = copy(self)
+        if any(equality.relaxed for equality in self._equalities):
+            costs = [
+                (weight**0.5 * left, weight**0.5 * right)
+                for left, right, weight in self._equalities
+                if weight
+            ]
+            easier._costs = [*self._costs, *costs]
+            easier._equalities = [equality for equality in self._equalities if not equality.relaxed]
+            easier.given_up = (*self.given_up, "terminal condition relaxed")
+            return easier
+        if self.softened or not any(bound.relaxed for bound in self._bounds):
             return None
-        excess = {f"excess of {bound.name}": len(bound.limits.rows) for bound in bounds}
-        easier = Problem(self.rows, {**self.free, **excess}, self._sizes)
-
-        def wider(rows: FloatArray) -> FloatArray:
-            wide = np.zeros((len(rows), easier._width))
-            wide[:, : self._width] = rows
-            return wide
-
-        easier.weights, easier.origin_weights = self.weights, self.origin_weights
-        easier.origin = wider(self.origin[0]), self.origin[1]
-        easier._costs = [(wider(left), right) for left, right in self._costs]
-        easier._wanted = [wider(rows) for rows in self._wanted]
-        easier.paid, easier.advice = wider(self.paid), self.advice
-        for left, right, weight in self._equalities:
-            if weight:
-                easier._costs.append((weight**0.5 * wider(left), weight**0.5 * right))
-            else:
-                easier._equalities.append(_Equality(wider(left), right, 0.0))
-        for bound in self._bounds:
-            rows = wider(bound.limits.rows)
-            if bounds and bound.relaxed:
-                name = f"excess of {bound.name}"
-                identity = np.eye(len(rows))
-                rows[:, easier._variables[name]] = -identity
-                easier.penalise(bound.relaxed * np.eye(1), {name: identity}, {})
-            limits = bound.limits._replace(rows=rows)
-            easier._bounds.append(_Bound(bound.name, limits, 0.0 if bounds else bound.relaxed))
-        what = "output bounds softened" if bounds else "terminal condition relaxed"
-        easier.given_up = (*self.given_up, what)
+        easier.softened, easier.given_up = True, (*self.given_up, "output bounds softened")
         return easier
 
     def ask(self, **counts: int) -> None:
@@ -242,6 +226,12 @@ class Problem:
         """C and the limits of C x."""
         rows, lower, upper, span = zip(*(bound.limits for bound in self._bounds), strict=True)
         return Limits(*map(np.concatenate, (rows, lower, upper, span)))
+
+    @property
+    def excess_weights(self) -> FloatArray:
+        """Weights of the squares of what the rows C x may be beyond their limits, 0 where they may not."""
+        weights = [bound.relaxed for bound in self._bounds]
+        return np.repeat(weights, [len(bound.limits.rows) for bound in self._bounds])
 
     @property
     def labels(self) -> tuple[str, ...]:

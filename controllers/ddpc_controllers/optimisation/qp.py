@@ -39,6 +39,7 @@ from ddpc_controllers.optimisation.backends import (
 )
 from ddpc_controllers.optimisation.condensing import (
     CondensedProblem,
+    Optimum,
     ReducedProblem,
     RowFactor,
     condense,
@@ -257,10 +258,13 @@ class Relaxation:
         The problem that has no solution.
     data : RowFactor or OnlineData
         What it meets.
+    before : (ReducedProblem, Optimum), optional
+        What it was condensed through on data that stay.
     """
 
     problem: Problem
     data: RowFactor | OnlineData
+    before: tuple[ReducedProblem, Optimum] | None = None
 
     def law(self, limits: InputLimits, backend: Backend) -> "_BoundedLaw | None":
         """Return the law of the easier problem, None if there is none."""
@@ -268,7 +272,7 @@ class Relaxation:
         if easier is None:
             return None
         try:
-            law = _law(easier, self.data, limits, type(backend)())
+            law = _law(easier, self.data, limits, type(backend)(), self.before)
         except ConfigError:  # weights so far apart that it is not determined to rounding
             return None
         law.given_up = easier.given_up
@@ -514,12 +518,21 @@ def make_law(
 
 
 def _law(
-    problem: Problem, data: RowFactor | OnlineData, limits: InputLimits, backend: Backend
+    problem: Problem,
+    data: RowFactor | OnlineData,
+    limits: InputLimits,
+    backend: Backend,
+    before: tuple[ReducedProblem, Optimum] | None = None,
 ) -> _BoundedLaw:
-    relaxation = Relaxation(problem, data)
     if isinstance(data, OnlineData):
-        return AdaptiveQP(problem, data, limits, backend, relaxation)
-    return ParametricQP(reduce(problem, data).optimise(), limits, backend, relaxation)
+        return AdaptiveQP(problem, data, limits, backend, Relaxation(problem, data))
+    if before and problem.softened:  # the optimum without bounds stays what it was before they gave way
+        reduced, optimum = before[0].softened(), before[1]
+    else:
+        reduced = reduce(problem, data)
+        optimum = reduced.optimum()
+    relaxation = Relaxation(problem, data, (reduced, optimum))
+    return ParametricQP(reduced.condensed(optimum), limits, backend, relaxation)
 
 
 def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
@@ -678,7 +691,8 @@ class AdaptiveQP(_BoundedLaw):
     def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> Correction | None:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
         gains = scipy.linalg.blas.dtrsm(1.0, triangular, self._gains, side=1)
-        gain, move_gain = gains[: self._bounds], gains[self._bounds : self._rest]
+        gain = np.concatenate([gains[: self._bounds], self._reduced.relief], axis=1)
+        move_gain = gains[self._bounds : self._rest]
         self._gain = gain
         t = self._deviation(gain, excess)
         if t is None:
@@ -692,7 +706,7 @@ class AdaptiveQP(_BoundedLaw):
             if failure and exact is None:
                 return None
             t, self._active = (t if exact is None else exact), active
-        u += move_gain @ t
+        u += move_gain @ t[: move_gain.shape[1]]
         return self._active, t
 
     def _deviation(self, gain: FloatArray, excess: FloatArray) -> FloatArray | None:

@@ -109,11 +109,14 @@ class UncondensedLaw:
         self._misfits = cost[:, :past].any(axis=1)
         misfit, self._residual = cost[self._misfits], cost[~self._misfits, past:]
         self._sizes = np.linalg.norm(misfit, axis=1)
-        alone = self._alone = np.count_nonzero(bounded, axis=1) == 1
+        weights = problem.excess_weights if problem.softened else np.zeros(len(bounded))
+        excess = np.eye(len(bounded))[:, weights > 0.0]
+        alone = self._alone = (np.count_nonzero(bounded, axis=1) == 1) & (weights == 0.0)
         self._variables = bounded[alone].argmax(axis=1) - past
         sizes = {
             "g": data.shape[1],
             "x": cost.shape[1] - past,
+            "excess": excess.shape[1],
             "misfit": len(misfit),
             "difference": np.count_nonzero(~alone),
         }
@@ -121,10 +124,12 @@ class UncondensedLaw:
             "data": {"g": data[past:], "x": -np.eye(len(data) - past, sizes["x"])},
             "misfit": split(misfit / self._sizes[:, np.newaxis]) | {"misfit": -np.eye(sizes["misfit"])},
             "equality": split(equality),
-            "difference": split(bounded[~alone]) | {"difference": -np.eye(sizes["difference"])},
+            "difference": split(bounded[~alone])
+            | {"difference": -np.eye(sizes["difference"]), "excess": -excess[~alone]},
         }
         half_hessian = {
             ("x", "x"): self._residual.T @ self._residual,
+            ("excess", "excess"): np.diag(weights[weights > 0.0]),
             ("misfit", "misfit"): np.diag(self._sizes**2),
         }
         one = np.zeros(self._lower.shape[1])
