@@ -5,16 +5,18 @@ Its name is the hash of its content.
 """
 
 import gzip
+import os
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.study.case_columns import in_columns, kept_with
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     CaseResult,
@@ -51,8 +53,15 @@ def stage_batch(folder: Path, runs: Sequence[dict[str, Any]]) -> Path:
     return path
 
 
-def read_batch(path: Path) -> list[dict[str, Any]]:
+def read_batch(path: Path, known: dict[str, Any] | None = None) -> list[dict[str, Any]]:
     """Return what there is to say of each run of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    known : dict of str to any, optional
+        What the runs of other files have in common, which equal values of this one are then.
 
     Raises
     ------
@@ -71,7 +80,9 @@ def read_batch(path: Path) -> list[dict[str, Any]]:
     if len(text) > _LONGEST:
         raise ValueError(f"{path.name} has more than {_LONGEST} bytes")
     batch = parse_sealed(text, path.name)
-    return [batch[_COMMON] | run for run in batch[_RUNS]]
+    known = {} if known is None else known
+    common = {key: known.setdefault(repr(value), value) for key, value in batch[_COMMON].items()}
+    return [common | run for run in batch[_RUNS]]
 
 
 def _written(path: Path) -> int:
@@ -82,12 +93,8 @@ def _written(path: Path) -> int:
         return 0
 
 
-class _Kept(NamedTuple):
-    """A case, what its figures depend on besides its samples, and the batch that it is in."""
-
-    result: CaseResult
-    settings: dict[str, Any]
-    batch: Path
+_PATH, _SETTINGS = "path", "metric_settings"
+"""What is kept with a case: its batch, and what its figures depend on besides its samples."""
 
 
 class Batched(Mapping[str, CaseResult]):
@@ -103,19 +110,25 @@ class Batched(Mapping[str, CaseResult]):
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._kept: dict[str, _Kept] = {}
+        self._kept: dict[str, CaseResult] = {}
         self._left: Counter[Path] = Counter()
+        self._known: dict[str, Any] = {}
         for path in sorted(folder.glob(f"{_NAME}*{_SUFFIX}"), key=_written):
             with suppress(*DAMAGED):
                 self._keep(self._read(path, path))
 
-    def load(self, case_id: str) -> CaseResult:
-        """Return a case, as its own files tell of it where it has some; errors as of :func:`load_case`."""
-        place = self.folder / case_id
-        return self[case_id] if case_id in self and not place.exists() else load_case(place)
+    def alone(self) -> set[str]:
+        """Return the names of what is there by itself: the ids of cases that have files of their own."""
+        with suppress(FileNotFoundError), os.scandir(self.folder) as entries:
+            return {entry.name for entry in entries}
+        return set()
+
+    def load(self, case_id: str, alone: Collection[str]) -> CaseResult:
+        """Return a case, as its own files tell of it where it is alone; errors as of :func:`load_case`."""
+        return self[case_id] if case_id in self and case_id not in alone else load_case(self.folder / case_id)
 
     def __getitem__(self, case_id: str) -> CaseResult:
-        return self._kept[case_id].result
+        return self._kept[case_id]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._kept)
@@ -125,8 +138,8 @@ class Batched(Mapping[str, CaseResult]):
 
     def is_valid(self, case_id: str, settings: MetricSettings) -> bool:
         """Whether a case is there, would end the same again, and its figures depend on these settings."""
-        kept = self._kept.get(case_id)
-        return kept is not None and not kept.result.transient and kept.settings == asdict(settings)
+        case = self._kept.get(case_id)
+        return case is not None and not case.transient and kept_with(case, _SETTINGS) == asdict(settings)
 
     def accept(self, staged: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
         """Move a batch that a process has staged to where its cases belong, if it has those; return them.
@@ -154,26 +167,27 @@ class Batched(Mapping[str, CaseResult]):
         for older in self._keep(cases):
             if not self._left[older]:
                 older.unlink(missing_ok=True)
-        return [kept.result for kept in cases]
+        return cases
 
-    def _read(self, path: Path, place: Path, heads: Sequence[dict[str, Any]] | None = None) -> list[_Kept]:
+    def _read(
+        self, path: Path, place: Path, heads: Sequence[dict[str, Any]] | None = None
+    ) -> list[CaseResult]:
         """Return what is in a file that belongs in a place; raises an error of what is damaged."""
-        runs = read_batch(path)
+        runs = read_batch(path, self._known)
         for run, head in zip(runs, runs if heads is None else heads, strict=True):
             if any(run[key] != value for key, value in head.items()):
                 raise ValueError(f"{path.name} is of case {run['id']}, not {head['id']}")
-        return [
-            _Kept(result_of_run(run, self.folder / run["id"], batched=True), run["metric_settings"], place)
-            for run in runs
-        ]
+        cases = (result_of_run(run, self.folder, batched=True) for run in runs)
+        settings = [run["metric_settings"] for run in runs]
+        return in_columns(cases, self.folder, **{_PATH: [place] * len(runs), _SETTINGS: settings})
 
-    def _keep(self, cases: Iterable[_Kept]) -> set[Path]:
+    def _keep(self, cases: Iterable[CaseResult]) -> set[Path]:
         """Have cases count in place of those of the same ids; return the batches that these are in."""
         older = set()
-        for kept in cases:
-            if before := self._kept.get(kept.result.id):
-                self._left[before.batch] -= 1
-                older.add(before.batch)
-            self._kept[kept.result.id] = kept
-            self._left[kept.batch] += 1
+        for case in cases:
+            if before := self._kept.get(case.id):
+                self._left[kept_with(before, _PATH)] -= 1
+                older.add(kept_with(before, _PATH))
+            self._kept[case.id] = case
+            self._left[kept_with(case, _PATH)] += 1
         return older

@@ -9,15 +9,14 @@ import shutil
 import stat
 import sys
 import warnings
-from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache
 from itertools import islice
 from pathlib import Path, PurePath
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +63,7 @@ DAMAGED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, whose memory those in columns would have for nothing
 class CaseResult:
     """One case: what it was, how it ended, and its metrics.
 
@@ -110,7 +109,7 @@ class CaseResult:
     left : float
         What it leaves of a step at worst [%], beyond what the scenario makes unavoidable; infinite of a run
         that did not complete, and NaN where its reference is never constant.
-    tasks : dict of str to float
+    tasks : mapping of str to float
         By controlled output, the size of its task, in the unit in which it is shown.
     wall_time : float
         How long its worker took for it [s]; NaN if it was lost.
@@ -151,7 +150,7 @@ class CaseResult:
     failure: str = ""
     settles: bool | None = None
     left: float = math.nan
-    tasks: dict[str, float] = field(default_factory=dict)
+    tasks: Mapping[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -229,11 +228,10 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
     head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
     warning_texts, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
     transient = run["transient"] or outcome in _TRANSIENT
-    numbers = Numbers.of if batched else _numbers
     return CaseResult(
         **head,
-        metrics=numbers(run["metrics"]),
-        diagnostics=numbers(run["diagnostics"]),
+        metrics=_numbers(run["metrics"]),
+        diagnostics=_numbers(run["diagnostics"]),
         settings=run["settings"],
         tracking=tuple(map(Tracking.read, run["tracking"])),
         outcome=outcome,
@@ -245,7 +243,7 @@ def result_of_run(run: dict[str, Any], folder: Path, *, batched: bool = False) -
         simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
         versions=run.get("versions", {}),
         engine=str(run.get("engine", "")),
-        drawn=numbers(run.get("drawn", {})),
+        drawn=_numbers(run.get("drawn", {})),
         beyond_log=dict(run.get("beyond_log", {})),
         batched=batched,
     )
@@ -661,47 +659,9 @@ def _read_run(folder: Path) -> dict[str, Any]:
     return run | {key: _numbers(run[key]) for key in ("metrics", "diagnostics")}
 
 
-class Numbers(Mapping[str, float]):
-    """Numbers by name, in an eighth of the memory of a dict: many cases have the same names.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The names.
-    values : sequence of float
-        Their numbers.
-    """
-
-    __slots__ = ("_places", "_values")
-
-    def __init__(self, names: tuple[str, ...], values: Sequence[float]) -> None:
-        self._places, self._values = _places_of(names), array("d", values)
-
-    @classmethod
-    def of(cls, stored: Mapping[str, Any]) -> Self:
-        """Return what a file says."""
-        return cls(tuple(stored), [float(value) for value in stored.values()])
-
-    def __getitem__(self, name: str) -> float:
-        return self._values[self._places[name]]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-    def __repr__(self) -> str:
-        return repr(dict(self))
-
-
-@lru_cache(maxsize=1000)
-def _places_of(names: tuple[str, ...]) -> Mapping[str, int]:
-    return {name: place for place, name in enumerate(names)}
-
-
 def _numbers(stored: Mapping[str, Any]) -> dict[str, float]:
-    return {name: float(value) for name, value in stored.items()}
+    # Many cases have the same names.
+    return {sys.intern(name): float(value) for name, value in stored.items()}
 
 
 def read_trace(folder: Path) -> Trace:

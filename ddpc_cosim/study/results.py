@@ -4,7 +4,7 @@ import math
 import os
 import warnings
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
 from ddpc_cosim.study.batches import Batched
+from ddpc_cosim.study.case_columns import replaced
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     DOING_NOTHING,
@@ -36,7 +37,7 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sections import LOGOS
 from ddpc_cosim.study.file_format.sweeps import variant_words
-from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
+from ddpc_cosim.study.verdicts.judgement import judged, run_of
 from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
 
@@ -554,25 +555,33 @@ def load_cases(
         for problem, flat in study.problems.items()
         for name, section in flat.controllers.items()
     }
-    cases, resting, damaged = dict[str, list[CaseResult]](), dict[Run, CaseResult](), {}
+    own = study.head.name  # the files of a flat study's cases do not name it
+    cases, at_rest, damaged = dict[str, list[CaseResult]](), list[CaseResult](), {}
     batched = Batched(folder / CASES_FOLDER) if batched is None else batched
+    alone = batched.alone()
     for case_id in case_ids:
         try:
-            case = batched.load(case_id)
-            problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
-            label = labels.get((problem, case.controller), case.label)
-            case = replace(case, problem=problem, label=label)
-            if case.controller == DOING_NOTHING:
-                resting[run_of(case)] = case
-            else:
-                cases.setdefault(problem, []).append(case)
+            case = batched.load(case_id, alone)
         except ConfigError as error:
             damaged[case_id] = str(error)
+            continue
+        if case.controller == DOING_NOTHING:
+            at_rest.append(case)
+        else:
+            cases.setdefault(case.problem or own, []).append(case)
+
+    def label_of(case: CaseResult) -> str:
+        return labels.get((case.problem or own, case.controller), case.label)
+
+    def labelled(some: Iterable[CaseResult]) -> Iterator[CaseResult]:
+        return replaced((case, {"problem": case.problem or own, "label": label_of(case)}) for case in some)
+
+    resting = {run_of(case): case for case in labelled(at_rest)}
     return Loaded(
         tuple(
             case
             for problem, problem_cases in cases.items()
-            for case in judged(study.problems[problem].scenarios, problem_cases, resting)
+            for case in judged(study.problems[problem].scenarios, labelled(problem_cases), resting)
         ),
         tuple(resting.values()),
         damaged,

@@ -418,7 +418,7 @@ def run_missing(
     cases = [replace(case, **how) for case in cases]
     for_batches = _for_batches(cases, selection)
     batched = Batched(cases_folder) if batched is None else batched
-    by_themselves = {path.name for path in cases_folder.iterdir()}
+    by_themselves = batched.alone()
 
     def is_batched(case: Case) -> bool:
         is_only_there = case.id in for_batches and case.id not in by_themselves

@@ -218,7 +218,8 @@ def tune_study(
     progress.start(runs_of_trials + len(at_rest), 0)
     batched = Batched(folder / CASES_FOLDER)  # of very many seeds
     run_missing(at_rest, folder, selection, progress, batched=batched)
-    runs_at_rest = (batched.load(case.id) for case in at_rest)
+    alone = batched.alone()
+    runs_at_rest = (batched.load(case.id, alone) for case in at_rest)
     resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:

@@ -27,14 +27,14 @@ Doing nothing is a run that the tool makes itself, once per scenario and seed, o
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from statistics import fmean, median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.files.texts import alike, printable
 from ddpc_cosim.loop.trace import Outcome
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.responses import EndWindow, Tracking
+from ddpc_cosim.study.case_columns import replaced
 from ddpc_cosim.study.case_files import CaseResult
 
 if TYPE_CHECKING:
@@ -108,14 +108,23 @@ def judged(
     resting : mapping of Run to CaseResult
         The runs of doing nothing, under the same disturbances; where one is missing, it decides nothing.
     """
-    return tuple(_judged(case, resting.get(run_of(case)), scenarios.get(case.scenario)) for case in cases)
+    return tuple(
+        replaced(
+            (case, _concluded(case, resting.get(run_of(case)), scenarios.get(case.scenario)))
+            for case in cases
+        )
+    )
 
 
-def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None") -> CaseResult:
+def _concluded(
+    case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None"
+) -> dict[str, Any]:
+    """Return what is concluded of a case, by field."""
     if case.outcome is not Outcome.COMPLETED:
-        return replace(case, failed=True, failure="", settles=False, left=math.inf)
+        return {"failed": True, "failure": "", "settles": False, "left": math.inf}
     nothing = {tracking.output: tracking for tracking in resting.tracking} if resting else {}
-    outputs = {tracking.output: tracking for tracking in case.tracking}
+    followed = case.tracking
+    outputs = {tracking.output: tracking for tracking in followed}
     unavoidable = {
         name: _unavoidable(output, nothing.get(name), scenario) for name, output in outputs.items()
     }
@@ -125,14 +134,14 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
     parts = [_left(output, sizes[name], unavoidable[name]) for name, output in outputs.items()]
     left = [part for part in parts if not math.isnan(part)]
     most = max(left, default=math.nan)
-    failure = _distance(case.tracking, sizes, unavoidable)
+    failure = _distance(followed, sizes, unavoidable)
     # Where the plant controls itself, that is a competitor: to be worse than it is no failure.
     is_idle = completed and not (resting and resting.is_own_control)
     if not failure and is_idle and outputs:
-        failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
+        failure = _against_nothing(followed, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
     tasks = {name: sizes[name] * output.factor for name, output in outputs.items()}
-    return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most, tasks=tasks)
+    return {"failed": bool(failure), "failure": failure, "settles": settles, "left": most, "tasks": tasks}
 
 
 def task_size(tracking: Tracking, nothing: Tracking | None) -> float:

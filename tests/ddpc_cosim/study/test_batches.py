@@ -15,7 +15,8 @@ from ddpc_cosim import CaseResult, ConfigError, CosimError, StudyResults, load_r
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import batches, runner
 from ddpc_cosim.study.batches import Batched, read_batch, stage_batch
-from ddpc_cosim.study.case_files import Numbers, checksum
+from ddpc_cosim.study.case_columns import Numbers
+from ddpc_cosim.study.case_files import checksum
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.results import write_report
@@ -303,6 +304,6 @@ def test_a_report_says_of_which_runs_there_are_samples(study: Path) -> None:
 
 def test_numbers_by_name_are_those_of_a_dict() -> None:
     stored = {"rmse [deg]": 1.5, "failures [1]": 0.0}
-    numbers = Numbers.of(stored)
+    numbers = Numbers({name: [0.0, number] for name, number in stored.items()}, 1)
     assert (dict(numbers), numbers == stored, repr(numbers), len(numbers)) == (stored, True, repr(stored), 2)
     assert (numbers.get("iae"), list(numbers)) == (None, list(stored))
