@@ -476,7 +476,7 @@ class Stretch:
 class Actuation(SampledSignal):
     """An input over the held samples."""
 
-    @cached_property
+    @property
     def magnitude(self) -> FloatArray:
         """The input without its sign, in the display unit."""
         return np.abs(self.variable.shown_in.from_unit(self.values))
@@ -499,7 +499,7 @@ class Actuation(SampledSignal):
         """Magnitude of the change at every sample, the first one from rest, in the display unit."""
         return np.abs(self.moves) * abs(self.variable.shown_in.factor)
 
-    @cached_property
+    @property
     def at_limit(self) -> NDArray[np.bool_]:
         """Whether the input is at one of its limits, at every sample."""
         span = self.limits[1] - self.limits[0]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -229,9 +230,9 @@ class Trace:
         if len(self) == 0:
             return 0
         # What is left to the plant is not commanded from the first row on.
-        commanded = np.isfinite(self.u[0]) | (len(self) == 1)
-        undecided = not np.isfinite(self.u[-1][commanded]).all()
-        return len(self) - undecided
+        each = zip(self.u[0].tolist(), self.u[-1].tolist(), strict=True)
+        undecided = [not isfinite(last) for first, last in each if isfinite(first) or len(self) == 1]
+        return len(self) - any(undecided)
 
     @property
     def communication_step(self) -> float:

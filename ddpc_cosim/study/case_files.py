@@ -544,11 +544,11 @@ def evaluated(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
 
 def _recorded(value: Any) -> Any:
     """Return settings whose texts can be kept, whatever they are."""
+    if isinstance(value, str):
+        return recorded(value)
     if isinstance(value, dict):
         return {recorded(key): _recorded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_recorded(item) for item in value]
-    return recorded(value) if isinstance(value, str) else value
+    return [_recorded(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def sealed_json(content: dict[str, Any]) -> bytes:
