@@ -71,6 +71,10 @@ class Numbers(Mapping[str, float]):
         number: float = self._columns[name][self._row]
         return number
 
+    def get(self, name: str, default: Any = None) -> Any:  # asked more than all else
+        column = self._columns.get(name)
+        return default if column is None else column[self._row]
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
 

@@ -3,6 +3,7 @@
 import math
 import os
 import warnings
+from array import array
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -15,7 +16,7 @@ import numpy as np
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, MissingLibraryError
 from ddpc_cosim.files.csv_files import load_pyarrow, write_table
-from ddpc_cosim.files.tables import Table, plain_table, table_text
+from ddpc_cosim.files.tables import Table, plain_table, table_parts
 from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.loop.trace import Trace
@@ -741,28 +742,34 @@ def write_metrics(results: StudyResults) -> None:
     OSError
         It cannot be written.
     """
-    header, rows = metrics_table(results)
-    write_atomically(results.folder / METRICS_FILE, encodable(table_text(header, rows)).encode())
+    parts = table_parts(*metrics_table(results))
+    write_atomically(results.folder / METRICS_FILE, (encodable(part).encode() for part in parts))
     if any(case.batched for case in results.cases):
         with suppress(MissingLibraryError):
-            _write_parquet(results.folder / METRICS_PARQUET, header, rows)
+            _write_parquet(results.folder / METRICS_PARQUET, *metrics_table(results))
 
 
-def _write_parquet(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+def _write_parquet(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write the table of metrics with columns of text and of numbers: what is not there is NaN."""
     load_pyarrow()
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    texts = {name: [*map(str, columns.pop(name))] for name in _TEXTS if name in columns}
-    numbers = {
-        name: np.array([math.nan if value == "" else value for value in column], dtype=np.float64)
-        for name, column in columns.items()
-    }
+    texts: dict[str, list[str]] = {name: [] for name in header if name in _TEXTS}
+    numbers = {name: array("d") for name in header if name not in _TEXTS}
+    known = dict[str, str]()
+    for row in rows:
+        for name, value in zip(header, row, strict=True):
+            if name in texts:
+                text = str(value)
+                texts[name].append(known.setdefault(text, text))
+            else:
+                numbers[name].append(math.nan if value == "" else value)
     with ScratchFolder(path.parent, STAGING) as staging:
-        write_table(staging / path.name, numbers, texts)
+        write_table(
+            staging / path.name, {name: np.asarray(column) for name, column in numbers.items()}, texts
+        )
         (staging / path.name).replace(path)
 
 
-def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
+def metrics_table(results: StudyResults) -> tuple[list[str], Iterator[list[Any]]]:
     """Return header and rows of ``metrics.csv``."""
     study, cases = results.whole, results.cases
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
@@ -772,11 +779,11 @@ def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
     header += ["seed", "outcome", "failed", "settles"]
     header += [printable(f"{_PARAMETER} {name}") for name in parameters]
     header += map(printable, keys)
-    rows = []
-    for case in cases:
-        problem = study.problems[case.problem]
-        rows.append(
-            [
+
+    def rows() -> Iterator[list[Any]]:
+        for case in cases:
+            problem, metrics, drawn = study.problems[case.problem], case.metrics, case.drawn
+            yield [
                 study.head.name,
                 problem.variant_of or case.problem,
                 *[variant_words(problem.varied)] * has_variants,
@@ -787,8 +794,8 @@ def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
                 case.outcome,
                 case.failed,
                 "" if case.settles is None else case.settles,
-                *(case.drawn.get(name, "") for name in parameters),
-                *(case.metrics.get(key, math.nan) for key in keys),
+                *(drawn.get(name, "") for name in parameters),
+                *(metrics.get(key, math.nan) for key in keys),
             ]
-        )
-    return header, rows
+
+    return header, rows()
