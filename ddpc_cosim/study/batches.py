@@ -121,9 +121,13 @@ class Batched(Mapping[str, CaseResult]):
             return {entry.name for entry in entries}
         return set()
 
-    def load(self, case_id: str, alone: Collection[str]) -> CaseResult:
-        """Return a case, as its own files tell of it where it is alone; errors as of :func:`load_case`."""
-        return self[case_id] if case_id in self and case_id not in alone else load_case(self.folder / case_id)
+    def take(self, case_id: str, alone: Collection[str]) -> CaseResult:
+        """Return a case, as its own files tell of it where it is alone; errors as of :func:`load_case`.
+
+        It is not held here any longer.
+        """
+        kept = self._kept.pop(case_id, None)
+        return load_case(self.folder / case_id) if kept is None or case_id in alone else kept
 
     def __getitem__(self, case_id: str) -> CaseResult:
         return self._kept[case_id]

@@ -71,7 +71,8 @@ class Numbers(Mapping[str, float]):
         number: float = self._columns[name][self._row]
         return number
 
-    def get(self, name: str, default: Any = None) -> Any:  # asked more than all else
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a number, which is asked for more than all else."""
         column = self._columns.get(name)
         return default if column is None else column[self._row]
 
@@ -95,6 +96,18 @@ class _Same:
 
     def __getitem__(self, row: int) -> Any:
         return self._value
+
+
+class _Texts:
+    """A column of texts of the same length, in one."""
+
+    __slots__ = ("_length", "_text")
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self._text, self._length = "".join(texts), len(texts[0])
+
+    def __getitem__(self, row: int) -> str:
+        return self._text[row * self._length : (row + 1) * self._length]
 
 
 class _Made:
@@ -196,6 +209,8 @@ def _column(values: Sequence[Any]) -> Column:
         return _Same(first) if content == content[: numbers.itemsize] * len(values) else numbers
     if kind is int and all(abs(value) <= _LARGEST for value in values):
         return array("q", values)
+    if kind is str and len(set(map(len, values))) == 1 and len(set(values)) > 1:
+        return _Texts(values)
     if issubclass(kind, Mapping) and all(
         type(number) is float for value in values for number in value.values()
     ):

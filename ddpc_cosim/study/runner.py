@@ -444,8 +444,10 @@ def run_missing(
     for case in kept:
         recompute_metrics(cases_folder / case.id, case.metrics)
     if not begin:
-        for case in (*kept, *figures):
-            progress.finished(case, batched.load(case.id, by_themselves))
+        for case in kept:
+            progress.finished(case, load_case(cases_folder / case.id))
+        for case in figures:
+            progress.finished(case, batched[case.id])
     for case in _done(alone, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()

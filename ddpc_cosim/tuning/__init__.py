@@ -226,7 +226,7 @@ def tune_study(
     batched = Batched(folder / CASES_FOLDER)  # of very many seeds
     run_missing(at_rest, folder, selection, progress, batched=batched)
     alone = batched.alone()
-    runs_at_rest = (batched.load(case.id, alone) for case in at_rest)
+    runs_at_rest = (batched.take(case.id, alone) for case in at_rest)
     resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:
