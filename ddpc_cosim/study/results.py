@@ -65,7 +65,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 METRICS_PARQUET = "metrics.parquet"
 _TEXTS = ("study", "problem", "variant", "plant", "controller", "scenario", "outcome")
 """The columns of metrics that are no numbers."""
-_ROWS_AT_ONCE = 1 << 15
+_ROWS_AT_ONCE = 1 << 14
 """Of the table of metrics as Parquet, whose groups of rows have so many."""
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
