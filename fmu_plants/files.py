@@ -6,7 +6,7 @@ import stat
 import sys
 import uuid
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -32,10 +32,17 @@ def zip_bytes(files: Mapping[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes | Iterable[bytes]) -> None:
     """Write the file as a whole: a reader, or another writer of the same path, never meets a part of it.
 
     Nor does who reads it after a power cut.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : bytes or iterable of bytes
+        What is in it; in parts where it is too long to be had at once.
 
     Raises
     ------
@@ -44,7 +51,8 @@ def write_atomically(path: Path, content: bytes) -> None:
     """
     staged = path.with_name(temporary_name(path.name))
     try:
-        staged.write_bytes(content)
+        with staged.open("wb") as file:
+            file.writelines([content] if isinstance(content, bytes) else content)
         write_through(staged)
         staged.replace(path)
     except BaseException:

@@ -9,7 +9,7 @@ A Parquet file has the same columns under the same headers, and may stand wherev
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -264,7 +264,7 @@ def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[st
     As text a number is the shortest that gives it again.
     """
     if path.suffix == PARQUET:
-        _write_parquet(path, numbers, texts)
+        write_parquet(path, [(numbers, texts)])
         return
     with path.open("w", encoding="utf-8", newline="") as file:
         _write_csv(file, numbers, texts)
@@ -275,9 +275,29 @@ def _write_csv(file: TextIO, numbers: Mapping[str, FloatArray], texts: Mapping[s
     write_rows(file, [*numbers, *texts], zip(*cells, *texts.values(), strict=True))
 
 
-def _write_parquet(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
+def write_parquet(
+    path: Path, parts: Iterable[tuple[Mapping[str, FloatArray], Mapping[str, Sequence[str]]]]
+) -> None:
+    """Write columns of numbers and then of text as Parquet: some rows after the other, each a group."""
+    pyarrow, writer = load_pyarrow(), None
+    with ExitStack() as ending:
+        for numbers, texts in parts:
+            table = _arrow_table(pyarrow, numbers, texts)
+            if writer is None:
+                # Neither statistics nor its own schema, which are larger than the samples of a short run.
+                how: dict[str, Any] = {"write_statistics": False, "store_schema": False}
+                how |= {
+                    "compression": "zstd",
+                    "use_byte_stream_split": [*numbers],
+                    "use_dictionary": [*texts],
+                }
+                writer = ending.enter_context(pyarrow.parquet.ParquetWriter(path, table.schema, **how))
+            writer.write_table(table)
+
+
+def _arrow_table(pyarrow: Any, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> Any:
     # From buffers: where pyarrow is given arrays or lists it imports pandas, which a worker does without.
-    pyarrow, columns = load_pyarrow(), list[Any]()
+    columns = list[Any]()
     for numbers_of_one in map(np.ascontiguousarray, numbers.values()):
         buffers = [None, pyarrow.py_buffer(numbers_of_one)]
         columns.append(pyarrow.Array.from_buffers(pyarrow.float64(), len(numbers_of_one), buffers))
@@ -285,10 +305,7 @@ def _write_parquet(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping
         ends = np.cumsum([0, *map(len, cells)], dtype=np.int32)
         buffers = [pyarrow.py_buffer(ends), pyarrow.py_buffer(b"".join(cells))]
         columns.append(pyarrow.StringArray.from_buffers(len(cells), *buffers))
-    table = pyarrow.Table.from_arrays(columns, names=[*numbers, *texts])
-    how = {"compression": "zstd", "use_byte_stream_split": [*numbers], "use_dictionary": [*texts]}
-    # Neither statistics nor its own schema, which are larger than the samples of a short run.
-    pyarrow.parquet.write_table(table, path, write_statistics=False, store_schema=False, **how)
+    return pyarrow.Table.from_arrays(columns, names=[*numbers, *texts])
 
 
 def read_parquet(content: bytes) -> tuple[dict[str, FloatArray], dict[str, tuple[str, ...]]]:

@@ -11,6 +11,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import StringIO
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ddpc_cosim.files.texts import csv_text, encodable, printable, recorded
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 Raw = float | int | str
 _DASH = "\N{EN DASH}"
+_ROWS_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -254,9 +256,16 @@ def table_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     A number is the shortest text that gives it again, NaN an empty cell, a truth ``true`` or ``false``; texts
     are such that a spreadsheet does not take them for formulas.
     """
-    file = StringIO(newline="")
-    write_rows(file, [*map(csv_text, header)], ([*map(_cell, row)] for row in rows))
-    return file.getvalue()
+    return "".join(table_parts(header, rows))
+
+
+def table_parts(header: Sequence[str], rows: Iterable[Sequence[object]]) -> Iterator[str]:
+    """Yield some rows of :func:`table_text` after the other, the header first."""
+    cells = chain([[*map(csv_text, header)]], ([*map(_cell, row)] for row in rows))
+    while part := [*islice(cells, _ROWS_AT_ONCE)]:
+        file = StringIO(newline="")
+        write_rows(file, part[0], part[1:])
+        yield file.getvalue()
 
 
 def _cell(value: object) -> str:

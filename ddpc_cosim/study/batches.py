@@ -10,12 +10,10 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.errors import CosimError
-from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_columns import in_columns, kept_with
 from ddpc_cosim.study.case_files import (
     DAMAGED,
@@ -123,9 +121,13 @@ class Batched(Mapping[str, CaseResult]):
             return {entry.name for entry in entries}
         return set()
 
-    def load(self, case_id: str, alone: Collection[str]) -> CaseResult:
-        """Return a case, as its own files tell of it where it is alone; errors as of :func:`load_case`."""
-        return self[case_id] if case_id in self and case_id not in alone else load_case(self.folder / case_id)
+    def take(self, case_id: str, alone: Collection[str]) -> CaseResult:
+        """Return a case, as its own files tell of it where it is alone; errors as of :func:`load_case`.
+
+        It is not held here any longer.
+        """
+        kept = self._kept.pop(case_id, None)
+        return load_case(self.folder / case_id) if kept is None or case_id in alone else kept
 
     def __getitem__(self, case_id: str) -> CaseResult:
         return self._kept[case_id]
@@ -136,10 +138,10 @@ class Batched(Mapping[str, CaseResult]):
     def __len__(self) -> int:
         return len(self._kept)
 
-    def is_valid(self, case_id: str, settings: MetricSettings) -> bool:
+    def is_valid(self, case_id: str, settings: dict[str, Any]) -> bool:
         """Whether a case is there, would end the same again, and its figures depend on these settings."""
         case = self._kept.get(case_id)
-        return case is not None and not case.transient and kept_with(case, _SETTINGS) == asdict(settings)
+        return case is not None and not case.transient and kept_with(case, _SETTINGS) == settings
 
     def accept(self, staged: Path, heads: Sequence[dict[str, Any]]) -> list[CaseResult]:
         """Move a batch that a process has staged to where its cases belong, if it has those; return them.

@@ -10,6 +10,8 @@ from typing import Any, Protocol, Self
 
 from ddpc_cosim.study.case_files import CaseResult
 
+_OF_NUMBERS = ("metrics", "diagnostics", "drawn", "tasks")
+"""The fields that are numbers by name."""
 _LARGEST = (1 << 63) - 1
 
 
@@ -71,6 +73,11 @@ class Numbers(Mapping[str, float]):
         number: float = self._columns[name][self._row]
         return number
 
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a number, which is asked for more than all else."""
+        column = self._columns.get(name)
+        return default if column is None else column[self._row]
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
 
@@ -91,6 +98,18 @@ class _Same:
 
     def __getitem__(self, row: int) -> Any:
         return self._value
+
+
+class _Texts:
+    """A column of texts of the same length, in one."""
+
+    __slots__ = ("_length", "_text")
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self._text, self._length = "".join(texts), len(texts[0])
+
+    def __getitem__(self, row: int) -> str:
+        return self._text[row * self._length : (row + 1) * self._length]
 
 
 class _Made:
@@ -137,7 +156,7 @@ def in_columns(cases: Iterable[CaseResult], folder: Path, **more: Sequence[Any])
     by_place: dict[int, CaseResult] = {}
     for alike in groups.values():
         columns = {
-            field.name: _column([getattr(case, field.name) for _, case in alike])
+            field.name: _of_field(field.name, [getattr(case, field.name) for _, case in alike])
             for field in fields(CaseResult)
         }
         columns["folder"] = _Made(folder.joinpath, [columns["id"]])
@@ -169,7 +188,7 @@ def replaced(changes: Iterable[tuple[CaseResult, Mapping[str, Any]]]) -> Iterato
         changed = dict(zip(rows, of_rows, strict=True))
         every = range(max(rows) + 1)
         others = {
-            name: _column([changed.get(row, {}).get(name, columns[name][row]) for row in every])
+            name: _of_field(name, [changed.get(row, {}).get(name, columns[name][row]) for row in every])
             for name in dict.fromkeys(name for of_row in of_rows for name in of_row)
         }
         yield from map(partial(ColumnCase.at, columns | others), rows)
@@ -177,6 +196,13 @@ def replaced(changes: Iterable[tuple[CaseResult, Mapping[str, Any]]]) -> Iterato
 
 def _columns_of(change: tuple[CaseResult, Any]) -> dict[str, Column] | None:
     return change[0]._columns if isinstance(change[0], ColumnCase) else None
+
+
+def _of_field(name: str, values: Sequence[Any]) -> Column:
+    names = dict.fromkeys(map(tuple, values)) if name in _OF_NUMBERS else ()
+    if len(names) != 1:
+        return _column(values)
+    return _OfNumbers({name: _column([value[name] for value in values]) for name in next(iter(names))})
 
 
 def _column(values: Sequence[Any]) -> Column:
@@ -192,12 +218,8 @@ def _column(values: Sequence[Any]) -> Column:
         return _Same(first) if content == content[: numbers.itemsize] * len(values) else numbers
     if kind is int and all(abs(value) <= _LARGEST for value in values):
         return array("q", values)
-    if issubclass(kind, Mapping) and all(
-        type(number) is float for value in values for number in value.values()
-    ):
-        if all(tuple(value) == tuple(first) for value in values):
-            return _OfNumbers({name: _column([value[name] for value in values]) for name in first})
-        return tuple(values)
+    if kind is str and len(set(map(len, values))) == 1 and len(set(values)) > 1:
+        return _Texts(values)
     if kind is tuple and all(len(value) == len(first) for value in values):
         return _Made(_tuple_of, [*map(_column, zip(*values, strict=True))])
     if is_dataclass(kind):

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -48,6 +48,7 @@ DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
 OWN_CONTROL = "the plant's own control"
 """What such a run is labelled where the plant's own control acts in it."""
+_ENTRIES_AT_ONCE = 1000
 _LONGEST_RUN, _LONGEST_STATE = 1 << 26, 1 << 29
 # These may end otherwise next time: only a result that would come out the same is kept.
 _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
@@ -553,9 +554,29 @@ def _recorded(value: Any) -> Any:
 
 def sealed_json(content: dict[str, Any]) -> bytes:
     """Return a JSON object whose last entry is the checksum of all before it."""
-    entries = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in _finite(content).items()]
-    text = ("{\n" + ",\n".join(entries)).encode()
-    return text + _SEAL % checksum(text).encode()
+    return b"".join(sealed_parts(content))
+
+
+def sealed_parts(content: dict[str, Any]) -> Iterator[bytes]:
+    """Yield the parts of :func:`sealed_json`, for what is long."""
+    seal, before = hashlib.sha256(), "{\n"
+    for key, value in content.items():
+        for part in chain([f"{before} {json.dumps(str(key))}: "], _json_parts(value)):
+            seal.update(part.encode())
+            yield part.encode()
+        before = ",\n"
+    yield _SEAL % seal.hexdigest().encode()
+
+
+def _json_parts(value: Any) -> Iterator[str]:
+    """Yield the JSON of a value, that of a long list some entries after the other."""
+    if not isinstance(value, list) or len(value) <= _ENTRIES_AT_ONCE:
+        yield json.dumps(_finite(value))
+        return
+    for first in range(0, len(value), _ENTRIES_AT_ONCE):
+        yield ", " if first else "["
+        yield json.dumps(_finite(value[first : first + _ENTRIES_AT_ONCE]))[1:-1]
+    yield "]"
 
 
 def read_sealed(path: Path) -> dict[str, Any]:

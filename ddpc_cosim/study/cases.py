@@ -2,14 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -95,6 +96,8 @@ LOGGED_DATA = "logged data"
 """The provenance's name for what was done to logged data before anyone learned from them."""
 _LONGEST_NAME = 80
 """Of a case, in the name of its folder: on Windows a path has 259 characters."""
+_HASHED = 10
+"""Digits of its hash, at the end of its id."""
 _RESTING, _PLANT_CONTROL = "idle", "plant"
 """The controllers, by entry point, that leave the inputs at rest, and to the plant's own control."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
@@ -304,9 +307,182 @@ class Case:
         return head | ({"drawn": self.drawn} if self.spread else {})
 
 
+class CaseSeries(Sequence[Case]):
+    """Cases that differ by their seeds and by what these draw; each is made when it is looked at.
+
+    Parameters
+    ----------
+    case : Case
+        What they have in common.
+    seeds : sequence of int
+        The seeds.
+    parameters : mapping of int to dict
+        Plant parameters by seed, of these seeds at least.
+    ids : sequence of str
+        The ids.
+    """
+
+    def __init__(
+        self,
+        case: Case,
+        seeds: Sequence[int],
+        parameters: Mapping[int, dict[str, ParameterValue]],
+        ids: Sequence[str],
+    ) -> None:
+        self.case, self.seeds, self.parameters, self.ids = case, seeds, parameters, ids
+
+    @overload
+    def __getitem__(self, place: int) -> Case: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Self: ...
+
+    def __getitem__(self, place: int | slice) -> Case | Self:
+        if isinstance(place, slice):
+            return self.at(range(len(self))[place])
+        seed = self.seeds[place]
+        return replace(self.case, seed=seed, parameters=self.parameters[seed], id=self.ids[place])
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # without what is of other seeds
+        parameters = {seed: self.parameters[seed] for seed in self.seeds}
+        return type(self), (self.case, self.seeds, parameters, [*self.ids])
+
+    def at(self, places: Sequence[int]) -> Self:
+        """Return those in some places."""
+        ids = self.ids.at(places) if isinstance(self.ids, _Ids) else [self.ids[place] for place in places]
+        return type(self)(self.case, [self.seeds[place] for place in places], self.parameters, ids)
+
+
+class Cases(Sequence[Case]):
+    """Cases of several series, one after the other.
+
+    Parameters
+    ----------
+    series : iterable of CaseSeries
+        The series.
+    """
+
+    def __init__(self, series: Iterable[CaseSeries]) -> None:
+        self.series = [*filter(None, series)]
+
+    @classmethod
+    def of(cls, cases: Iterable[Case]) -> Self:
+        """Return cases as such a sequence: those that are not yet, each as a series of its own."""
+        if isinstance(cases, cls):
+            return cases
+        return cls(CaseSeries(case, [case.seed], {case.seed: case.parameters}, [case.id]) for case in cases)
+
+    @overload
+    def __getitem__(self, place: int) -> Case: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> "Cases": ...
+
+    def __getitem__(self, place: int | slice) -> "Case | Cases":
+        chosen, first = list[CaseSeries](), 0
+        if isinstance(place, slice):
+            places = range(len(self))[place]
+            for series in self.series:
+                inside = [i - first for i in places if first <= i < first + len(series)]
+                chosen.append(series if len(inside) == len(series) else series.at(inside))
+                first += len(series)
+            return Cases(chosen)
+        return next(islice(self, range(len(self))[place], None))
+
+    def __len__(self) -> int:
+        return sum(map(len, self.series))
+
+    def __iter__(self) -> Iterator[Case]:
+        return chain.from_iterable(self.series)
+
+    def ids(self) -> Iterator[str]:
+        """Yield their ids, for which no case is made."""
+        return chain.from_iterable(series.ids for series in self.series)
+
+    def parted(self, is_first: Callable[[CaseSeries], Callable[[str], bool]]) -> "tuple[Cases, Cases]":
+        """Return those of whose ids it is true, by what is asked in each series, and the others."""
+        both: tuple[list[CaseSeries], list[CaseSeries]] = ([], [])
+        for series in self.series:
+            asked = [*map(is_first(series), series.ids)]
+            for part, wanted in zip(both, (True, False), strict=True):
+                places = [place for place, answer in enumerate(asked) if answer is wanted]
+                part.append(series if len(places) == len(series) else series.at(places))
+        return Cases(both[0]), Cases(both[1])
+
+    def with_all(self, **changes: Any) -> "Cases":
+        """Return them with other values of some fields that their ids do not depend on."""
+        return Cases(
+            CaseSeries(replace(series.case, **changes), series.seeds, series.parameters, series.ids)
+            for series in self.series
+        )
+
+
+class _Ids(Sequence[str]):
+    """The ids of cases that differ by their seeds, of which only hashes are kept, one after the other."""
+
+    def __init__(self, case: Case, seeds: Sequence[int], hashes: str) -> None:
+        self._case, self._seeds, self._hashes = case, seeds, hashes
+
+    @overload
+    def __getitem__(self, place: int) -> str: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Self: ...
+
+    def __getitem__(self, place: int | slice) -> str | Self:
+        if isinstance(place, slice):
+            return self.at(range(len(self))[place])
+        return f"{_as_file_name(self._case.name_with(self._seeds[place]))}_{self._hash(place)}"
+
+    def __len__(self) -> int:
+        return len(self._seeds)
+
+    def at(self, places: Sequence[int]) -> Self:
+        """Return those in some places."""
+        seeds = [self._seeds[place] for place in places]
+        return type(self)(self._case, seeds, "".join(map(self._hash, places)))
+
+    def _hash(self, place: int) -> str:
+        first = range(len(self))[place] * _HASHED
+        return self._hashes[first : first + _HASHED]
+
+
+class _Drawn(Mapping[int, dict[str, ParameterValue]]):
+    """Plant parameters by seed, of which some are drawn.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        The seeds.
+    said : dict of str to float
+        What is not drawn.
+    columns : dict of str to array, shape (len(seeds),)
+        What is.
+    """
+
+    def __init__(
+        self, seeds: Sequence[int], said: dict[str, ParameterValue], columns: dict[str, FloatArray]
+    ) -> None:
+        self._rows = {seed: row for row, seed in enumerate(seeds)}
+        self._said, self._columns = said, columns
+
+    def __getitem__(self, seed: int) -> dict[str, ParameterValue]:
+        row = self._rows[seed]
+        return self._said | {name: float(column[row]) for name, column in self._columns.items()}
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
 def cases_of(
     resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str | Sequence[str] = ()
-) -> list[Case]:
+) -> Cases:
     """Return the cases of a study of one problem: controllers x scenarios x seeds.
 
     Parameters
@@ -333,16 +509,16 @@ def cases_of_problems(
     problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]],
     seeds: Sequence[int] = (),
     only: str | Sequence[str] = (),
-) -> list[Case]:
+) -> Cases:
     """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
     selected = problems_with_cases({name: resolved for name, (resolved, _) in problems.items()}, seeds, only)
     patterns = patterns_of(only)
-    return [
-        case
+    return Cases(
+        series
         for name, (resolved, plant) in problems.items()
         if name in selected
-        for case in cases_of_problem(resolved, plant, name, seeds, patterns)
-    ]
+        for series in series_of_problem(resolved, plant, name, seeds, patterns)
+    )
 
 
 def problems_with_cases(
@@ -354,7 +530,7 @@ def problems_with_cases(
         return {
             name
             for name, resolved in problems.items()
-            if next(cases_of_problem(resolved, resolved.plant, name, seeds, [pattern]), None)
+            if next(series_of_problem(resolved, resolved.plant, name, seeds, [pattern]), None)
         }
 
     matches = {pattern: matching(pattern) for pattern in patterns_of(only)}
@@ -379,21 +555,21 @@ def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:
     return () if "*" in given else given
 
 
-def doing_nothing(cases: Iterable[Case]) -> list[Case]:
+def doing_nothing(cases: Iterable[Case]) -> Cases:
     """Return the runs that cases are judged by: one per problem, scenario and seed.
 
     Inputs are at rest, and the plant's own control acts where it has one.
     """
-    groups: dict[tuple[str, str], dict[int, Case]] = {}
-    for case in cases:
-        if case.section["type"]:
-            groups.setdefault((case.problem, case.scenario), {}).setdefault(case.seed, case)
-    return [case for driven in groups.values() for case in _at_rest(driven)]
+    groups: dict[tuple[str, str], list[CaseSeries]] = {}
+    for series in Cases.of(cases).series:
+        if series.case.section["type"]:
+            groups.setdefault((series.case.problem, series.case.scenario), []).append(series)
+    return Cases(map(_at_rest, groups.values()))
 
 
-def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
-    """Yield the runs of one scenario with inputs at rest, by seed."""
-    first = next(iter(driven.values()))
+def _at_rest(driven: Sequence[CaseSeries]) -> CaseSeries:
+    """Return the runs of one scenario with inputs at rest."""
+    first = driven[0].case
     signals = names(first.undriven)
     is_controlled = any(
         name in first.plant.switches and first.plant.switches[name] not in signals
@@ -412,8 +588,11 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
         case = without_experiment(case)
     digest = case.recording.digest if case.recording else None
     shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
-    for seed, of_seed in driven.items():
-        yield _with_seed(case, seed, of_seed.parameters, case.name_with(seed), shared)
+    seeds = [*dict.fromkeys(seed for series in driven for seed in series.seeds)]
+    parameters = driven[0].parameters
+    if any(series.parameters is not parameters for series in driven):
+        parameters = {seed: series.parameters[seed] for series in driven[::-1] for seed in series.seeds}
+    return _series(case, seeds, parameters, shared)
 
 
 def without_experiment(case: Case) -> Case:
@@ -960,13 +1139,13 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def cases_of_problem(
+def series_of_problem(
     resolved: "ResolvedStudy",
     plant: PlantSpec,
     problem: str,
     seeds: Sequence[int],
     patterns: Sequence[str],
-) -> Iterator[Case]:
+) -> Iterator[CaseSeries]:
     """Yield the cases that one of some patterns matches, by their name or what they are made of.
 
     Without patterns these are all. What those that differ by their seed alone have in common is made, and
@@ -1033,18 +1212,15 @@ def cases_of_problem(
                 late=resolved.late.get(controller, ""),
                 spread=_spread(resolved, scenario),
             )
-            named = [(seed, case.name_with(seed)) for seed in section.seeds_of(run_seeds)]
             chosen = [
-                (seed, called)
-                for seed, called in named
-                if matches or any(fnmatch(called, pattern) for pattern in patterns)
+                seed
+                for seed in section.seeds_of(run_seeds)
+                if matches or any(fnmatch(case.name_with(seed), pattern) for pattern in patterns)
             ]
             if not chosen:
                 continue
             content = content or _code_and_files(case) | recording
-            shared = _hash_of(case, content)
-            for seed, called in chosen:
-                yield _with_seed(case, seed, plants[name][seed], called, shared)
+            yield _series(case, chosen, plants[name], _hash_of(case, content))
 
 
 def _spread(resolved: "ResolvedStudy", scenario: "ScenarioSection") -> tuple[Variable, ...]:
@@ -1057,7 +1233,7 @@ def _spread(resolved: "ResolvedStudy", scenario: "ScenarioSection") -> tuple[Var
 
 def _drawn(
     resolved: "ResolvedStudy", scenario: "ScenarioSection", seeds: Sequence[int]
-) -> dict[int, dict[str, ParameterValue]]:
+) -> Mapping[int, dict[str, ParameterValue]]:
     """Return the plant parameters of a scenario by seed: all draw with the same numbers in every scenario."""
     plant = resolved.study.plant
     said: dict[str, Any] = {**plant.parameters, **scenario.parameters}
@@ -1065,13 +1241,11 @@ def _drawn(
         return dict.fromkeys(seeds, said)
     of_seeds = shares(names(resolved.spread), plant.sampling, tuple(seeds))
     columns = {
-        variable.name: said[variable.name].quantile(of_seeds[:, column]).tolist()
+        variable.name: said[variable.name].quantile(of_seeds[:, column])
         for column, variable in enumerate(resolved.spread)
         if isinstance(said.get(variable.name), Distribution)
     }
-    return {
-        seed: said | {name: values[row] for name, values in columns.items()} for row, seed in enumerate(seeds)
-    }
+    return _Drawn(seeds, said, columns)
 
 
 def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | None:
@@ -1084,15 +1258,22 @@ def _recording_start(study: "Study", scenario: "ScenarioSection") -> float | Non
     return recording.begins(study.loop.of(scenario), is_disturbed=bool(study.disturbances))
 
 
-def _with_seed(
-    case: Case, seed: int, parameters: dict[str, ParameterValue], called: str, shared: "hashlib._Hash"
-) -> Case:
-    whole = shared.copy()
-    whole.update(str(seed).encode())
-    if case.spread:  # ids of other cases do not know of it
-        whole.update(repr([(name, parameters[name]) for name in names(case.spread)]).encode())
-    id = f"{_as_file_name(called)}_{whole.hexdigest()[:10]}"
-    return replace(case, seed=seed, parameters=parameters, id=id)
+def _series(
+    case: Case,
+    seeds: Sequence[int],
+    parameters: Mapping[int, dict[str, ParameterValue]],
+    shared: "hashlib._Hash",
+) -> CaseSeries:
+    """Return the cases of some seeds, from a hash of what they have in common."""
+    drawn, hashes = names(case.spread), list[str]()
+    for seed in seeds:
+        whole = shared.copy()
+        whole.update(str(seed).encode())
+        if drawn:  # ids of other cases do not know of it
+            of_seed = parameters[seed]
+            whole.update(repr([(name, of_seed[name]) for name in drawn]).encode())
+        hashes.append(whole.hexdigest()[:_HASHED])
+    return CaseSeries(case, seeds, parameters, _Ids(case, seeds, "".join(hashes)))
 
 
 def _as_file_name(called: str) -> str:

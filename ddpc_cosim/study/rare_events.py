@@ -12,7 +12,6 @@ D. Straub, MCMC algorithms for subset simulation, Probabilistic Engineering Mech
 """
 
 import math
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -28,7 +27,7 @@ from ddpc_cosim.metrics import keys_named, metric_of
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.study.batches import Batched
 from ddpc_cosim.study.case_files import CaseResult, load_case
-from ddpc_cosim.study.cases import Case, leaves_nothing_behind
+from ddpc_cosim.study.cases import Case, Cases, leaves_nothing_behind
 from ddpc_cosim.study.runner import run_batches, run_cases
 from ddpc_cosim.variables import FloatArray
 
@@ -285,7 +284,7 @@ class FiguresOfCases:
         with ScratchFolder() as folder:
             if leaves_nothing_behind(self.case) and not self.case.sandbox:
                 alone = []
-                yield from run_batches(deque(cases), Batched(folder), self.jobs, alone)
+                yield from run_batches(Cases.of(cases), Batched(folder), self.jobs, alone)
             for case in run_cases(alone, folder, self.jobs):
                 yield case, load_case(folder / case.id)
 

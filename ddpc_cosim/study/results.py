@@ -4,9 +4,11 @@ import math
 import os
 import warnings
 from base64 import b64encode
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,8 +16,8 @@ import numpy as np
 
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, MissingLibraryError
-from ddpc_cosim.files.csv_files import load_pyarrow, write_table
-from ddpc_cosim.files.tables import Table, plain_table, table_text
+from ddpc_cosim.files.csv_files import load_pyarrow, write_parquet
+from ddpc_cosim.files.tables import Table, plain_table, table_parts
 from ddpc_cosim.files.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.loop.plotting import Picture, drawn
 from ddpc_cosim.loop.trace import Trace
@@ -33,11 +35,12 @@ from ddpc_cosim.study.case_files import (
     checksum,
     damaged_files,
     read_sealed,
-    sealed_json,
+    sealed_parts,
 )
 from ddpc_cosim.study.file_format.sections import LOGOS
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import judged, run_of
+from ddpc_cosim.variables import FloatArray
 from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
 
@@ -62,6 +65,8 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 METRICS_PARQUET = "metrics.parquet"
 _TEXTS = ("study", "problem", "variant", "plant", "controller", "scenario", "outcome")
 """The columns of metrics that are no numbers."""
+_ROWS_AT_ONCE = 1 << 14
+"""Of the table of metrics as Parquet, whose groups of rows have so many."""
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
 _RUNS, CASES_RUN = "runs", "cases run"
@@ -548,7 +553,7 @@ def load_cases(
     """Return the cases of a study that are sound, judged, and by id what is wrong with the others.
 
     They are labelled as the study labels them now: a label does not decide a result. ``batched`` are the
-    folder's batches, for whoever has read them.
+    folder's batches, for whoever has read them; cases are taken out of them.
     """
     labels = {
         (problem, name): section.label or name
@@ -556,25 +561,26 @@ def load_cases(
         for name, section in flat.controllers.items()
     }
     own = study.head.name  # the files of a flat study's cases do not name it
-    cases, at_rest, damaged = dict[str, list[CaseResult]](), list[CaseResult](), {}
+    cases, at_rest, damaged = dict[str, deque[CaseResult]](), deque[CaseResult](), {}
     batched = Batched(folder / CASES_FOLDER) if batched is None else batched
     alone = batched.alone()
     for case_id in case_ids:
         try:
-            case = batched.load(case_id, alone)
+            case = batched.take(case_id, alone)
         except ConfigError as error:
             damaged[case_id] = str(error)
             continue
         if case.controller == DOING_NOTHING:
             at_rest.append(case)
         else:
-            cases.setdefault(case.problem or own, []).append(case)
+            cases.setdefault(case.problem or own, deque()).append(case)
 
     def label_of(case: CaseResult) -> str:
         return labels.get((case.problem or own, case.controller), case.label)
 
-    def labelled(some: Iterable[CaseResult]) -> Iterator[CaseResult]:
-        return replaced((case, {"problem": case.problem or own, "label": label_of(case)}) for case in some)
+    def labelled(some: deque[CaseResult]) -> Iterator[CaseResult]:
+        each = (some.popleft() for _ in range(len(some)))  # none is held twice
+        return replaced((case, {"problem": case.problem or own, "label": label_of(case)}) for case in each)
 
     resting = {run_of(case): case for case in labelled(at_rest)}
     return Loaded(
@@ -704,25 +710,26 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     """
     folder, content = results.folder, results.whole.toml()
     provenance = {**results.provenance, _STUDY_CHECKSUM: checksum(content)}
-    ids = (
-        [*(case.id for case in (*results.cases, *results.resting)), *results.damaged]
-        if whole is None
-        else [*whole]
-    )
     runs = (*_earlier_runs(folder), *results.runs)
-    facts = {**provenance, _RUNS: runs, "cases": ids}
     results = replace(results, whole=_study(content), provenance=provenance, runs=runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with held():  # one has the other's checksum
             write_atomically(folder / STUDY_FILE, content)
-            write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
+            facts = {**provenance, _RUNS: runs, "cases": _ids(results) if whole is None else [*whole]}
+            write_atomically(folder / PROVENANCE_FILE, sealed_parts(facts))
+            del facts  # the ids, which may be many
         if whole is None:
             write_metrics(results)
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
     return results
+
+
+def _ids(results: StudyResults) -> list[str]:
+    """Return the ids of all cases, those included that are damaged."""
+    return [*(case.id for case in chain(results.cases, results.resting)), *results.damaged]
 
 
 def _earlier_runs(folder: Path) -> tuple[dict[str, str], ...]:
@@ -741,28 +748,33 @@ def write_metrics(results: StudyResults) -> None:
     OSError
         It cannot be written.
     """
-    header, rows = metrics_table(results)
-    write_atomically(results.folder / METRICS_FILE, encodable(table_text(header, rows)).encode())
+    parts = table_parts(*metrics_table(results))
+    write_atomically(results.folder / METRICS_FILE, (encodable(part).encode() for part in parts))
     if any(case.batched for case in results.cases):
         with suppress(MissingLibraryError):
-            _write_parquet(results.folder / METRICS_PARQUET, header, rows)
+            _write_parquet(results.folder / METRICS_PARQUET, *metrics_table(results))
 
 
-def _write_parquet(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+def _write_parquet(path: Path, header: Sequence[str], rows: Iterator[Sequence[Any]]) -> None:
     """Write the table of metrics with columns of text and of numbers: what is not there is NaN."""
+
+    def parts() -> Iterator[tuple[dict[str, FloatArray], dict[str, list[str]]]]:
+        while part := [*islice(rows, _ROWS_AT_ONCE)]:
+            columns = dict(zip(header, zip(*part, strict=True), strict=True))
+            texts = {name: [*map(str, columns.pop(name))] for name in _TEXTS if name in columns}
+            numbers = {
+                name: np.array([math.nan if value == "" else value for value in column], dtype=np.float64)
+                for name, column in columns.items()
+            }
+            yield numbers, texts
+
     load_pyarrow()
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    texts = {name: [*map(str, columns.pop(name))] for name in _TEXTS if name in columns}
-    numbers = {
-        name: np.array([math.nan if value == "" else value for value in column], dtype=np.float64)
-        for name, column in columns.items()
-    }
     with ScratchFolder(path.parent, STAGING) as staging:
-        write_table(staging / path.name, numbers, texts)
+        write_parquet(staging / path.name, parts())
         (staging / path.name).replace(path)
 
 
-def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
+def metrics_table(results: StudyResults) -> tuple[list[str], Iterator[list[Any]]]:
     """Return header and rows of ``metrics.csv``."""
     study, cases = results.whole, results.cases
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
@@ -772,11 +784,11 @@ def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
     header += ["seed", "outcome", "failed", "settles"]
     header += [printable(f"{_PARAMETER} {name}") for name in parameters]
     header += map(printable, keys)
-    rows = []
-    for case in cases:
-        problem = study.problems[case.problem]
-        rows.append(
-            [
+
+    def rows() -> Iterator[list[Any]]:
+        for case in cases:
+            problem, metrics, drawn = study.problems[case.problem], case.metrics, case.drawn
+            yield [
                 study.head.name,
                 problem.variant_of or case.problem,
                 *[variant_words(problem.varied)] * has_variants,
@@ -787,8 +799,8 @@ def metrics_table(results: StudyResults) -> tuple[list[str], list[list[Any]]]:
                 case.outcome,
                 case.failed,
                 "" if case.settles is None else case.settles,
-                *(case.drawn.get(name, "") for name in parameters),
-                *(case.metrics.get(key, math.nan) for key in keys),
+                *(drawn.get(name, "") for name in parameters),
+                *(metrics.get(key, math.nan) for key in keys),
             ]
-        )
-    return header, rows
+
+    return header, rows()

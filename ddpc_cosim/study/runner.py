@@ -16,9 +16,9 @@ import tempfile
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from itertools import chain, islice
+from itertools import islice
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
@@ -74,6 +74,8 @@ from ddpc_cosim.study.case_files import (
 from ddpc_cosim.study.cases import (
     Case,
     CaseContext,
+    Cases,
+    CaseSeries,
     cases_of_problems,
     doing_nothing,
     files_read,
@@ -243,10 +245,10 @@ class Selection:
         only = [word for pattern in patterns_of(self.only) for word in ("--only", pattern)]
         return [*seeds, *only, *(["--sandbox"] if self.sandboxed else [])]
 
-    def part_of(self, cases: Sequence[Case]) -> list[Case]:
+    def part_of(self, cases: Sequence[Case]) -> Sequence[Case]:
         """Return the cases of the shard: neighbours, which take about as long, are in different ones."""
         first, count = map(int, self.shard.split("/"))
-        return list(cases[first - 1 :: count])
+        return cases[first - 1 :: count]
 
 
 def run_study(
@@ -271,8 +273,8 @@ def run_study(
         require_sandbox()  # before anything is built
     plants, every = selected_cases(resolved, selection, progress)
     study = resolved.whole.with_seeds(selection.seeds)
-    every = [*every, *doing_nothing(every)]
-    cases = selection.part_of(every)
+    every = Cases([*every.series, *doing_nothing(every).series])
+    cases = Cases.of(selection.part_of(every))
     claim_folder(folder, study)
     keep_logo(folder, study)
     loaded, ran, took = _run_and_loaded(cases, folder, study, selection, progress)
@@ -287,21 +289,21 @@ def run_study(
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
     how = f"{took:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
     run = facts_of_run(results, resolved.file, selection.options(), workers, how) | dict(facts or {})
-    whole = [case.id for case in every] if selection.is_part else None
+    whole = [*every.ids()] if selection.is_part else None
     written = loaded.of(folder, study, provenance | run)
     return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
 
 
 def _run_and_loaded(
-    cases: Sequence[Case], folder: Path, study: "WholeStudy", selection: Selection, progress: Progress
+    cases: Cases, folder: Path, study: "WholeStudy", selection: Selection, progress: Progress
 ) -> tuple[Loaded, int, float]:
     """Run the cases that are not there; return all, how many were run, and how long that took [s]."""
     began, batched = monotonic(), Batched(folder / CASES_FOLDER)
     ran = run_missing(cases, folder, selection, progress, begin=True, batched=batched)
     took = monotonic() - began
-    loaded = load_cases(folder, study, [case.id for case in cases], batched)
+    loaded = load_cases(folder, study, cases.ids(), batched)
     if extremes := _extremes_without_samples(study, loaded.cases):
-        again = [case for case in cases if case.id in extremes]
+        again = [cases[place] for place, case_id in enumerate(cases.ids()) if case_id in extremes]
         run_missing(again, folder, selection, progress, begin=True, batched=batched)
     return loaded, ran, took
 
@@ -344,7 +346,7 @@ def _done(
 
 def selected_cases(
     resolved: "ResolvedProblems", selection: Selection, progress: Progress
-) -> tuple[dict[str, PlantSpec], list[Case]]:
+) -> tuple[dict[str, PlantSpec], Cases]:
     """Return the cases that are selected, and the plants of their problems, by name, ready to run.
 
     Raises
@@ -368,7 +370,8 @@ def selected_cases(
         plants = built_plants(chosen, progress)
     problems = {in_cases[name]: (problem, plants[name]) for name, problem in chosen.items()}
     cases = cases_of_problems(problems, selection.seeds, selection.only)
-    lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in cases]
+    each = [series.case for series in cases.series]
+    lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in each]
     if all(lacking):
         raise MissingLibraryError(list(dict.fromkeys(lacking)))
     return plants, cases
@@ -405,8 +408,8 @@ def run_missing(
     batched : Batched, optional
         The folder's batches, for whoever has read them; those of these cases are added.
     """
-    cases_folder = folder / CASES_FOLDER
-    _require_short_paths(folder, [case.id for case in cases])
+    cases_folder, cases = folder / CASES_FOLDER, Cases.of(cases)
+    _require_short_paths(folder, cases.ids())
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
         remove_left_behind(cases_folder, STAGING)
@@ -415,33 +418,37 @@ def run_missing(
     how: dict[str, Any] = {"storage": selection.storage}
     if selection.engine:
         how["engine"] = selection.engine
-    cases = [replace(case, **how) for case in cases]
-    for_batches = _for_batches(cases, selection)
     batched = Batched(cases_folder) if batched is None else batched
+    alone, together = _apart(cases.with_all(**how), selection)
     by_themselves = batched.alone()
 
-    def is_batched(case: Case) -> bool:
-        is_only_there = case.id in for_batches and case.id not in by_themselves
-        return is_only_there and batched.is_valid(case.id, case.metrics)
+    def has_files(case_id: str) -> bool:
+        return not selection.fresh and case_id in by_themselves and _is_there(cases_folder / case_id)
 
-    def is_there(case: Case) -> bool:
-        return is_batched(case) or (case.id in by_themselves and _is_there(cases_folder / case.id))
+    def has_figures(series: CaseSeries) -> Callable[[str], bool]:
+        settings = asdict(series.case.metrics)
+        return lambda case_id: (
+            not selection.fresh and case_id not in by_themselves and batched.is_valid(case_id, settings)
+        )
 
-    missing = {case.id: case for case in cases if selection.fresh or not is_there(case)}
-    kept = [case for case in cases if case.id not in missing]
+    kept, alone = alone.parted(lambda _: has_files)
+    figures, together = together.parted(has_figures)
+    more_kept, together = together.parted(lambda _: has_files)
+    kept = Cases([*kept.series, *more_kept.series])
+    missing = Cases([*alone.series, *together.series])
     if selection.executor == "local":
         with demanded(selection.sandboxed):
-            _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
+            read = (path for series in missing.series for path in files_read(series.case))
+            _compile_ahead(dict.fromkeys(read), progress)
     if begin:
-        progress.start(len(missing), len(kept))
+        progress.start(len(missing), len(cases) - len(missing))
     for case in kept:
-        if not is_batched(case):
-            recompute_metrics(cases_folder / case.id, case.metrics)
-        if not begin:
-            result = batched[case.id] if is_batched(case) else load_case(cases_folder / case.id)
-            progress.finished(case, result)
-    alone = [case for case in missing.values() if case.id not in for_batches]
-    together = _by_seed(case for case in missing.values() if case.id in for_batches)
+        recompute_metrics(cases_folder / case.id, case.metrics)
+    if not begin:
+        for case in kept:
+            progress.finished(case, load_case(cases_folder / case.id))
+        for case in figures:
+            progress.finished(case, batched[case.id])
     for case in _done(alone, cases_folder, selection, progress, workers):
         progress.finished(case, load_case(cases_folder / case.id))
     lost = list[Case]()
@@ -452,28 +459,26 @@ def run_missing(
     return len(missing)
 
 
-def _for_batches(cases: Sequence[Case], selection: Selection) -> set[str]:
-    """Return the ids of the cases of which only figures are kept: those of many seeds, but for the first."""
+def _apart(cases: Cases, selection: Selection) -> tuple[Cases, Cases]:
+    """Return the cases with files of their own, and those of which only figures are kept.
+
+    These are those of many seeds, but for the first.
+    """
     if selection.executor != "local" or selection.keep_files or selection.sandboxed:
-        return set()
-    series: dict[tuple[str, str, str], list[Case]] = {}
-    for case in cases:
-        if case.engine == "compiled":
-            series.setdefault((case.problem, case.controller, case.scenario), []).append(case)
-    return {
-        case.id
-        for of_series in series.values()
-        if len(of_series) > _MANY_SEEDS and leaves_nothing_behind(of_series[0]) and not of_series[0].late
-        for case in of_series[_FIRST_SEEDS:]
-    }
-
-
-def _by_seed(cases: Iterable[Case]) -> deque[Case]:
-    """Return cases so that those follow each other that differ by their controllers alone."""
-    places: dict[tuple[str, str, int], list[Case]] = {}
-    for case in cases:
-        places.setdefault((case.problem, case.scenario, case.seed), []).append(case)
-    return deque(chain.from_iterable(places.values()))
+        return cases, Cases([])
+    groups: dict[tuple[str, str, str], list[CaseSeries]] = {}
+    for series in cases.series:
+        groups.setdefault(_kind(series.case), []).append(series)
+    alone, together = list[CaseSeries](), list[CaseSeries]()
+    for group in groups.values():
+        first, of_group = group[0].case, Cases(group)
+        is_many = len(of_group) > _MANY_SEEDS and first.engine == "compiled"
+        if is_many and leaves_nothing_behind(first) and not first.late:
+            alone += of_group[:_FIRST_SEEDS].series
+            together += of_group[_FIRST_SEEDS:].series
+        else:
+            alone += group
+    return Cases(alone), Cases(together)
 
 
 def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
@@ -638,13 +643,13 @@ def run_cases(
 
 
 def run_batches(
-    cases: deque[Case], batched: Batched, jobs: int, lost: list[Case]
+    cases: Cases, batched: Batched, jobs: int, lost: list[Case]
 ) -> Iterator[tuple[Case, CaseResult]]:
     """Run cases some at a time in ``jobs`` worker processes, and yield each one when its figures are written.
 
     Parameters
     ----------
-    cases : deque of Case
+    cases : Cases
         What to run: own controllers on own plants, so that processes are as good as new after each.
     batched : Batched
         Where they are kept.
@@ -656,17 +661,15 @@ def run_batches(
     """
     if not cases:
         return
-    each = {case.controller: case for case in cases}.values()
-    preload = [*_PRELOAD, "ddpc_cosim.compiled.engine", *_plugin_modules([*each])]
+    plugins = _plugin_modules([series.case for series in cases.series])
+    preload, waiting = [*_PRELOAD, "ddpc_cosim.compiled.engine", *plugins], _chunks(cases)
     with _scratch() as temporary, _scratch(batched.folder, STAGING) as staging, _writable():
         work = _working_directory(temporary)
         running, idle = list[_Batch](), list[Worker]()
         try:
-            while cases or running:
-                while cases and len(running) < jobs:
-                    first, chosen = cases[0], list[Case]()
-                    while cases and _goes_with(cases[0], chosen):
-                        chosen.append(cases.popleft())
+            while True:
+                for chosen in islice(waiting, jobs - len(running)):
+                    first = chosen[0]
                     if not idle:
                         memory = _memory(first, jobs)
                         idle.append(Worker(serve_calls, folder=temporary, preload=preload, memory=memory))
@@ -675,6 +678,8 @@ def run_batches(
                     environment = (context.modules, context.values, work)
                     with suppress(OSError):  # it has died, which is seen below
                         ask(running[-1].worker.channel, run_batch, chosen, staging, *environment)
+                if not running:
+                    break
                 ready = wait([batch.worker.channel.socket for batch in running], _POLL_SECONDS)
                 ForkServer.wake()
                 for ended in [batch for batch in running if batch.has_ended(ready)]:
@@ -706,8 +711,9 @@ class _Batch(NamedTuple):
     @property
     def is_late(self) -> bool:
         """Whether its cases are to be run by themselves, where each call has a limit of time."""
-        each = [case.step_timeout if case.case_timeout is None else case.case_timeout for case in self.cases]
-        return monotonic() - self.since > max(sum(each), _BETWEEN_CALLS_SECONDS)
+        first = self.cases[0]
+        each = first.step_timeout if first.case_timeout is None else first.case_timeout
+        return monotonic() - self.since > max(len(self.cases) * each, _BETWEEN_CALLS_SECONDS)
 
     def results(self, staging: Path, batched: Batched) -> list[tuple[Case, CaseResult]]:
         """Return its cases, whose files have been put in their places; raises what keeps one from that."""
@@ -721,13 +727,23 @@ class _Batch(NamedTuple):
         return results
 
 
-def _goes_with(case: Case, chosen: Sequence[Case]) -> bool:
-    """Whether a case is the next one of a batch: seeds are not parted, problems and scenarios are."""
-    if not chosen:
-        return True
-    last = chosen[-1]
-    is_alike = (case.problem, case.scenario) == (last.problem, last.scenario)
-    return is_alike and (len(chosen) < _BATCH or case.seed == last.seed)
+def _kind(case: Case) -> tuple[str, str, str]:
+    """Return what is equal of cases that differ by their seeds alone."""
+    return case.problem, case.controller, case.scenario
+
+
+def _chunks(cases: Cases) -> Iterator[list[Case]]:
+    """Yield what a worker is sent at once: cases of a problem and scenario, those of a seed together."""
+    groups: dict[tuple[str, str], dict[str, list[CaseSeries]]] = {}
+    for series in cases.series:
+        problem, controller, scenario = _kind(series.case)
+        groups.setdefault((problem, scenario), {}).setdefault(controller, []).append(series)
+    for controllers in groups.values():
+        wholes = [alike[0] if len(alike) == 1 else [*Cases(alike)] for alike in controllers.values()]
+        size = max(1, _BATCH // len(wholes))
+        for first in range(0, max(map(len, wholes)), size):
+            some = (case for whole in wholes for case in whole[first : first + size])
+            yield sorted(some, key=lambda case: case.seed)
 
 
 def run_batch(

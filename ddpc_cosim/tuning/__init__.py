@@ -21,7 +21,14 @@ from ddpc_cosim.loop.safe_calls import settings_of_other
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.study.batches import Batched
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
-from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, doing_nothing, patterns_of
+from ddpc_cosim.study.cases import (
+    Case,
+    Cases,
+    cases_of_problems,
+    doing_nothing,
+    patterns_of,
+    series_of_problem,
+)
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
@@ -213,13 +220,13 @@ def tune_study(
     lacking = [planned[search.problem][0].lacking.get(search.name, "") for search in searches]
     if any(lacking):
         raise MissingLibraryError(list(dict.fromkeys(filter(None, lacking))))
-    at_rest = [] if request.by_prediction else doing_nothing(all_cases)
+    at_rest = doing_nothing([] if request.by_prediction else all_cases)
     runs_of_trials = request.trials * sum(in_full[search.problem, search.name] for search in searches)
     progress.start(runs_of_trials + len(at_rest), 0)
     batched = Batched(folder / CASES_FOLDER)  # of very many seeds
     run_missing(at_rest, folder, selection, progress, batched=batched)
     alone = batched.alone()
-    runs_at_rest = (batched.load(case.id, alone) for case in at_rest)
+    runs_at_rest = (batched.take(case.id, alone) for case in at_rest)
     resting = {run_of(case): case for case in runs_at_rest}
 
     def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:
@@ -387,7 +394,7 @@ class _Tuning:
             changes["loop"] = replace(study.loop, duration=study.loop.sampling_time)
         changed = replace(self._resolved, study=replace(study, **changes))
         seeds = self._request.seeds
-        return list(cases_of_problem(changed, self._plant, self.search.problem, seeds, self._patterns))
+        return [*Cases(series_of_problem(changed, self._plant, self.search.problem, seeds, self._patterns))]
 
 
 def _run_all(
