@@ -322,35 +322,38 @@ def stage_case(
 
 def described(trace: Trace, head: dict[str, Any], settings: MetricSettings) -> dict[str, Any]:
     """Return what ``run.json`` says of a run besides its files; parameters as of :func:`write_case`."""
-    return (
-        {"printed": "", "left": {}, "sandbox": "", "problem": "", "storage": "csv", "versions": {}}
-        | {"wall_time": math.nan}
-        | head
-        | {
-            "outcome": trace.outcome.value,
-            "reason": recorded(trace.reason),
-            "transient": trace.transient,
-            **evaluated(trace, settings),
-            "diagnostics": trace.diagnostics,
-            "info": list(trace.info),
-            "warnings": list(trace.warnings),
-            "settings": _recorded(trace.settings),
-            "sampling_time": trace.sampling_time,
-            "planned_samples": trace.planned_samples,
-            "preview": trace.preview,
-            "inputs": [_plain(v) for v in trace.inputs],
-            "outputs": [_plain(v) for v in trace.outputs],
-            "measurements": [_plain(v) for v in trace.measurements],
-            "changed_inputs": [_plain(v) for v in trace.changed_inputs],
-            "bounds": {
-                name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
-            },
-            "recorded_samples": trace.recorded_samples,
-            "knowledge": trace.knowledge,
-            "provenance": trace.provenance,
-            **_further(trace),
-        }
-    )
+    return {
+        "printed": "",
+        "left": {},
+        "sandbox": "",
+        "problem": "",
+        "storage": "csv",
+        "versions": {},
+        "wall_time": math.nan,
+        **head,
+        "outcome": trace.outcome.value,
+        "reason": recorded(trace.reason),
+        "transient": trace.transient,
+        **evaluated(trace, settings),
+        "diagnostics": trace.diagnostics,
+        "info": list(trace.info),
+        "warnings": list(trace.warnings),
+        "settings": _recorded(trace.settings),
+        "sampling_time": trace.sampling_time,
+        "planned_samples": trace.planned_samples,
+        "preview": trace.preview,
+        "inputs": [_plain(v) for v in trace.inputs],
+        "outputs": [_plain(v) for v in trace.outputs],
+        "measurements": [_plain(v) for v in trace.measurements],
+        "changed_inputs": [_plain(v) for v in trace.changed_inputs],
+        "bounds": {
+            name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
+        },
+        "recorded_samples": trace.recorded_samples,
+        "knowledge": trace.knowledge,
+        "provenance": trace.provenance,
+        **_further(trace),
+    }
 
 
 @cache
