@@ -118,10 +118,9 @@ class PIQPBackend(_DenseBackend):
 
     def _set_up(self, gain: FloatArray) -> Any:
         """Set the solver up over the independent directions of t."""
-        directions, factor, _ = scipy.linalg.qr(gain.T, mode="economic", pivoting=True, check_finite=False)
-        diagonal = np.abs(factor.diagonal())
-        size = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
-        self._directions, bounds = directions[:, :size], len(gain)
+        _, values, right = np.linalg.svd(gain, full_matrices=False)
+        self._directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
+        bounds, size = len(gain), self._directions.shape[1]
         solver = piqp.DenseSolver()
         _ask_for(solver, _PIQP_TOLERANCE)
         gain = np.asfortranarray(gain @ self._directions)
