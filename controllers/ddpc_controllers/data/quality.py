@@ -313,8 +313,8 @@ def stands_still(signals: FloatArray) -> NDArray[np.bool_]:
 
 def _moments(signals: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return means and standard deviations, none of which is zero, and which signals stand still."""
-    means = signals.mean(axis=0)
-    deviations = np.maximum(np.sqrt(np.square(signals - means).mean(axis=0)), _TINY)
+    means = np.add.reduce(signals) / len(signals)
+    deviations = np.maximum(np.sqrt(np.add.reduce(np.square(signals - means)) / len(signals)), _TINY)
     return means, deviations, deviations < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)
 
 

@@ -14,8 +14,8 @@ from the unconstrained optimum in units of the cost, and so
     minimise |t|^2   subject to   e_0(p) + L t <= 0
 
 is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range. Limits that
-move with time are parameters: they change ``e_0(p)`` alone. Bounds that give way, at a cost of ``c s^2`` for
-being exceeded by s, do not move the optimum without bounds, where s = 0: ``sqrt(c) s`` is one number more in t.
+move with time are parameters: they change ``e_0(p)`` alone. Bounds that give way at a cost of ``c s^2`` for
+being exceeded by s do not move the optimum without bounds, where s = 0; t has ``sqrt(c) s`` besides.
 
 Prices q, parameters too, of amounts ``a = A z`` add ``q' a`` to the cost. With ``t_0 = R w + P p`` the
 distance without them, R triangular, it is completed to a square,
@@ -376,9 +376,9 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
     given = rows - problem.rows["u"] - problem.rows["y"]
     weights = problem.excess_weights
     relief = -np.eye(len(weights))[:, weights > 0.0]
-    law, gains = _excess(law, np.concatenate([gain, relief], axis=1), limits)
-    gain, relief = np.split(gains, [gain.shape[1]], axis=1)
-    bounds = Bounds(law, gain, relief, weights[weights > 0.0], problem.labels)
+    law, changes = _excess(law, np.concatenate([gain, relief], axis=1), limits)
+    size = gain.shape[1]
+    bounds = Bounds(law, changes[:, :size], changes[:, size:], weights[weights > 0.0], problem.labels)
     return ReducedProblem(
         residual=residual,
         offset=offset - target,
@@ -415,6 +415,8 @@ def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, Fl
     rotated = left.T @ (target / scale)
     particular = right[:rank].T @ (rotated[:rank] / values[:rank, np.newaxis])
     conflict = rotated[rank:]
+    if not conflict.size:
+        return particular, right[rank:].T, conflict
     # In parts of each parameter's column: parameters have units of their own.
     size = np.linalg.norm(rotated, axis=0)
     size[size == 0.0] = 1.0
