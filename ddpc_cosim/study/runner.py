@@ -578,6 +578,7 @@ def run_cases(
     CosimError
         A case cannot be written.
     """
+    cases = [*cases]
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
@@ -690,7 +691,7 @@ def run_batches(
                         lost += ended.cases
                     else:
                         idle.append(ended.worker)
-                        yield from zip(ended.cases, results, strict=True)
+                        yield from results
         finally:
             for worker in (*idle, *(batch.worker for batch in running)):
                 worker.end()
@@ -714,11 +715,13 @@ class _Batch(NamedTuple):
         each = first.step_timeout if first.case_timeout is None else first.case_timeout
         return monotonic() - self.since > max(len(self.cases) * each, _BETWEEN_CALLS_SECONDS)
 
-    def results(self, staging: Path, batched: Batched) -> list[CaseResult]:
-        """Return its cases, whose file has been put in its place; raises what keeps it from that."""
+    def results(self, staging: Path, batched: Batched) -> list[tuple[Case, CaseResult]]:
+        """Return its cases, and their results, now in their place; raises what keeps them from that."""
         seconds = 0.0 if self.is_late else _REPLY_SECONDS
         name = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=seconds))
-        return batched.accept(staging / Path(name).name, [case.head() for case in self.cases])
+        cases = [*self.cases]
+        results = batched.accept(staging / Path(name).name, [case.head() for case in cases])
+        return [*zip(cases, results, strict=True)]
 
 
 def _kind(case: Case) -> tuple[str, str, str]:

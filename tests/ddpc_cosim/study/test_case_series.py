@@ -41,7 +41,14 @@ def test_it_is_a_sequence_as_a_list_is(cases: Cases) -> None:
     assert len(cases) == len(made) == 2 * 2 * 5
     assert [case.seed for case in made[:5]] == [5, 6, 7, 8, 2]
     assert told([cases[place] for place in range(-20, 20)]) == told(made + made)
-    for part in (slice(None), slice(3, 12), slice(1, None, 3), slice(-4, None), slice(7, 7)):
+    for part in (
+        slice(None),
+        slice(3, 12),
+        slice(1, None, 3),
+        slice(-4, None),
+        slice(7, 7),
+        slice(None, None, -2),
+    ):
         assert told(cases[part]) == told(made[part])
         assert [*cases[part].ids()] == [case.id for case in made[part]]
     with pytest.raises(StopIteration):
