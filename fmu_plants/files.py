@@ -51,8 +51,11 @@ def write_atomically(path: Path, content: bytes | Iterable[bytes]) -> None:
     """
     staged = path.with_name(temporary_name(path.name))
     try:
-        with staged.open("wb") as file:
-            file.writelines([content] if isinstance(content, bytes) else content)
+        if isinstance(content, bytes):
+            staged.write_bytes(content)
+        else:
+            with staged.open("wb") as file:
+                file.writelines(content)
         write_through(staged)
         staged.replace(path)
     except BaseException:

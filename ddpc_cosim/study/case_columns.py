@@ -46,7 +46,12 @@ class ColumnCase(CaseResult):
 
 
 def _of_column(name: str) -> property:
-    return property(lambda case: case._columns[name][case._row])
+    def value(case: ColumnCase) -> Any:
+        column = case._columns[name]
+        # Most are the same: to ask the column takes as long as all else.
+        return column.value if type(column) is _Same else column[case._row]
+
+    return property(value)
 
 
 for _field in fields(CaseResult):
@@ -91,13 +96,13 @@ class Numbers(Mapping[str, float]):
 class _Same:
     """A column of one value."""
 
-    __slots__ = ("_value",)
+    __slots__ = ("value",)
 
     def __init__(self, value: Any) -> None:
-        self._value = value
+        self.value = value
 
     def __getitem__(self, row: int) -> Any:
-        return self._value
+        return self.value
 
 
 class _Texts:

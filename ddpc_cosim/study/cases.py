@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
-from itertools import chain, islice
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, overload
 
@@ -351,7 +352,7 @@ class CaseSeries(Sequence[Case]):
         return type(self), (self.case, self.seeds, parameters, [*self.ids])
 
     def at(self, places: Sequence[int]) -> Self:
-        """Return those in some places."""
+        """Return those in some places, in their order."""
         ids = self.ids.at(places) if isinstance(self.ids, _Ids) else [self.ids[place] for place in places]
         return type(self)(self.case, [self.seeds[place] for place in places], self.parameters, ids)
 
@@ -367,6 +368,7 @@ class Cases(Sequence[Case]):
 
     def __init__(self, series: Iterable[CaseSeries]) -> None:
         self.series = [*filter(None, series)]
+        self._ends = [*accumulate(map(len, self.series))]
 
     @classmethod
     def of(cls, cases: Iterable[Case]) -> Self:
@@ -382,18 +384,21 @@ class Cases(Sequence[Case]):
     def __getitem__(self, place: slice) -> "Cases": ...
 
     def __getitem__(self, place: int | slice) -> "Case | Cases":
+        places = range(len(self))[place]
+        if isinstance(places, int):
+            number = bisect_right(self._ends, places)
+            return self.series[number][places - self._ends[number]]
+        if places.step < 0:
+            return Cases.of([*self][place])
         chosen, first = list[CaseSeries](), 0
-        if isinstance(place, slice):
-            places = range(len(self))[place]
-            for series in self.series:
-                inside = [i - first for i in places if first <= i < first + len(series)]
-                chosen.append(series if len(inside) == len(series) else series.at(inside))
-                first += len(series)
-            return Cases(chosen)
-        return next(islice(self, range(len(self))[place], None))
+        for series, end in zip(self.series, self._ends, strict=True):
+            inside = places[bisect_left(places, first) : bisect_left(places, end)]
+            chosen.append(series.at([i - first for i in inside]))
+            first = end
+        return Cases(chosen)
 
     def __len__(self) -> int:
-        return sum(map(len, self.series))
+        return self._ends[-1] if self._ends else 0
 
     def __iter__(self) -> Iterator[Case]:
         return chain.from_iterable(self.series)
@@ -409,7 +414,7 @@ class Cases(Sequence[Case]):
             asked = [*map(is_first(series), series.ids)]
             for part, wanted in zip(both, (True, False), strict=True):
                 places = [place for place, answer in enumerate(asked) if answer is wanted]
-                part.append(series if len(places) == len(series) else series.at(places))
+                part.append(series.at(places))
         return Cases(both[0]), Cases(both[1])
 
     def with_all(self, **changes: Any) -> "Cases":

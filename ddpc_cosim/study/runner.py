@@ -579,6 +579,7 @@ def run_cases(
     CosimError
         A case cannot be written.
     """
+    cases = [*cases]
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]

@@ -520,9 +520,10 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     }
     for case in counting:
         if case.controller not in aside:
+            run, metrics, failed = (case.scenario, case.seed), case.metrics, case.failed
             for key in runs:
-                value = case.metrics.get(key, math.nan) if not case.failed else math.nan
-                runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
+                value = metrics.get(key, math.nan) if not failed else math.nan
+                runs[key].setdefault(case.controller, {})[run] = value
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
     tasks = {name: _tasks(runs, group) for name, group in by_scenario.items() if name not in left_out}
