@@ -11,7 +11,8 @@ import numpy as np
 from benchmarks.isolation import held
 from ddpc_cosim.processes.fork_server import ForkServer
 from ddpc_cosim.processes.worker import LONGEST_REPLY, Worker, ask, result_of, serve_calls
-from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case, cases_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import run_cases
 

@@ -20,7 +20,8 @@ from ddpc_cosim import Trace
 from ddpc_cosim.compiled import engine, program
 from ddpc_cosim.compiled.engine import CompiledRun
 from ddpc_cosim.controller import ControllerCode
-from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, selected_cases

@@ -25,15 +25,8 @@ from ddpc_cosim.observation import Observation
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.responses import Actuation
-from ddpc_cosim.study.cases import (
-    Case,
-    no_samples,
-    open_plant,
-    row_store,
-    stepwise,
-    with_seed,
-    without_experiment,
-)
+from ddpc_cosim.study.case_runs import no_samples, open_plant, row_store, stepwise
+from ddpc_cosim.study.cases import Case, with_seed, without_experiment
 from ddpc_cosim.study.objects import Silent, Study
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy

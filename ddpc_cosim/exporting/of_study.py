@@ -9,7 +9,8 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
 from ddpc_cosim.exporting.vector import SAMPLES, vector_of
-from ddpc_cosim.study.cases import Case, controller_of, run_case, started
+from ddpc_cosim.study.case_runs import controller_of, run_case, started
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.runner import Progress, answer_of

@@ -19,7 +19,8 @@ from ddpc_cosim.files.logs import read_log
 from ddpc_cosim.loop.logged import LoggedSignals
 from ddpc_cosim.loop.safe_calls import past_length_of
 from ddpc_cosim.signals.signals import Band, Reference, Steps
-from ddpc_cosim.study.cases import Bounded, Case, Replayed, controller_of
+from ddpc_cosim.study.case_runs import controller_of
+from ddpc_cosim.study.cases import Bounded, Case, Replayed
 from ddpc_cosim.study.file_format.sections import RecordingSection
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean

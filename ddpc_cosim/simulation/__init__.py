@@ -28,7 +28,7 @@ from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
 from ddpc_cosim.simulation.request import Prepared, SimulationRequest, prepare
 from ddpc_cosim.simulation.state_file import PlantState
 from ddpc_cosim.study.case_files import load_case
-from ddpc_cosim.study.cases import partial_trace
+from ddpc_cosim.study.case_runs import partial_trace
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.variables import FloatArray, Variable, not_names
 

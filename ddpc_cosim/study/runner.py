@@ -71,6 +71,7 @@ from ddpc_cosim.study.case_files import (
     stage_case,
     write_case,
 )
+from ddpc_cosim.study.case_runs import no_samples, partial_trace, row_store, run_alike, run_case
 from ddpc_cosim.study.cases import (
     Case,
     CaseContext,
@@ -80,13 +81,8 @@ from ddpc_cosim.study.cases import (
     doing_nothing,
     files_read,
     leaves_nothing_behind,
-    no_samples,
-    partial_trace,
     patterns_of,
     problems_with_cases,
-    row_store,
-    run_alike,
-    run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (

@@ -27,7 +27,8 @@ from ddpc_cosim import ConfigError, Footprint, StudyResults, load_results
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.loop.safe_calls import controller_code
 from ddpc_cosim.metrics import headline
-from ddpc_cosim.study.cases import Case, cases_of, started
+from ddpc_cosim.study.case_runs import started
+from ddpc_cosim.study.cases import Case, cases_of
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems

@@ -28,7 +28,7 @@ from ddpc_cosim import (
     cosimulate,
 )
 from ddpc_cosim.gymnasium import make
-from ddpc_cosim.study.cases import run_case
+from ddpc_cosim.study.case_runs import run_case
 
 HORIZON = 2
 GAIN = np.array([[-4.0, -0.5, 1.0, 2.0, 1.5]])

@@ -30,7 +30,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.loop.safe_calls import recording_length
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
 
 STEPS, EXPERIMENT = 5, 20

@@ -35,7 +35,8 @@ from ddpc_cosim import (
     Variable,
 )
 from ddpc_cosim.gymnasium import ProblemEnv, SavedState, make
-from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import cases_of
 
 # What Gymnasium's own tests leave out too: advice on bounds and on actions from -1 to 1.
 ADVICE = (".*A Box .* space m(in|ax)imum value is", ".*For Box action spaces, we recommend")

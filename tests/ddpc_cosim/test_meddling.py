@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
 from ddpc_cosim import Controller, CosimError
-from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.cases import (Case)
 from ddpc_cosim.study import case_files
 
 @dataclass(kw_only=True)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Constant, FloatArray, Reference, Trace
-from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.objects import Silent
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, selected_cases

@@ -9,7 +9,7 @@ from controllers.export.compiled import Beside
 
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Outcome, Sample
 from ddpc_cosim.loop import safe_calls
-from ddpc_cosim.study import cases
+from ddpc_cosim.study import case_runs
 from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.reading import read_study
 
@@ -69,11 +69,11 @@ class BesideRounded(Beside):
 
 def closed(case: Case, kind: type[Beside], drives: bool) -> tuple[Beside, FloatArray]:
     """Close the loop of a case with its controller and another one beside it; return both and the inputs."""
-    controller = cases._controller(case.section, case.plant)
+    controller = case_runs._controller(case.section, case.plant)
     assert controller is not None
-    beside, plant = kind(controller=controller, drives=drives), cases.open_plant(case)
+    beside, plant = kind(controller=controller, drives=drives), case_runs.open_plant(case)
     try:
-        trace = cases._close_the_loop(case, plant, beside, None)
+        trace = case_runs._close_the_loop(case, plant, beside, None)
     finally:
         safe_calls.close_plant(plant)
     assert trace.outcome is Outcome.COMPLETED, trace.reason

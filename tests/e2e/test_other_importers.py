@@ -28,7 +28,8 @@ from ddpc_cosim import (
     export_controller,
 )
 from ddpc_cosim.coupling.plant import Algorithm, Extrapolation
-from ddpc_cosim.study.cases import Case, cases_of, run_case, started
+from ddpc_cosim.study.case_runs import run_case, started
+from ddpc_cosim.study.cases import Case, cases_of
 from ddpc_cosim.study.reading import read_study
 from fmu_plants import export_fmu
 from fmu_plants.pendulum import MODEL

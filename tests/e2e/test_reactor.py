@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome
-from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
 
 

@@ -39,7 +39,8 @@ from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.study.case_files import RUN_FILE, STAGING, accept_case, read_sealed, sealed_json, write_case
-from ddpc_cosim.study.cases import Case, CaseContext, data_files, no_samples, plants_in, plugins_in
+from ddpc_cosim.study.case_runs import no_samples
+from ddpc_cosim.study.cases import Case, CaseContext, data_files, plants_in, plugins_in
 from fmu_plants.files import cache_dir, cached
 
 if TYPE_CHECKING:

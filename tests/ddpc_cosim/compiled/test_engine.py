@@ -30,7 +30,8 @@ from ddpc_cosim.compiled.program import program_of
 from ddpc_cosim.conditions import all_conditions
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.loop import master
-from ddpc_cosim.study.cases import Case, run_alike, run_case, started
+from ddpc_cosim.study.case_runs import run_alike, run_case, started
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.runner import Selection
 from fmu_plants import export_fmu
 from fmu_plants.pendulum import MODEL

@@ -33,7 +33,7 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.gymnasium import make as make_environment
 from ddpc_cosim.study.case_files import read_trace
-from ddpc_cosim.study.cases import run_case
+from ddpc_cosim.study.case_runs import run_case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import run_cases
 from fmu_plants.pendulum import MODEL as PENDULUM

@@ -13,7 +13,7 @@ from studies import cases_in, study_text, write
 
 from ddpc_cosim.codec import read
 from ddpc_cosim.inspection.systems import inspect_ssp
-from ddpc_cosim.study.cases import run_case
+from ddpc_cosim.study.case_runs import run_case
 from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from fmu_plants import Equations, PlantModel, Symbols, Variable, tunable

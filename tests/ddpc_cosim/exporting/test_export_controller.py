@@ -29,7 +29,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study import cases
-from ddpc_cosim.study.cases import Case, cases_of, started
+from ddpc_cosim.study.case_runs import started
+from ddpc_cosim.study.cases import Case, cases_of
 from ddpc_cosim.study.reading import read_study
 
 _STEP = """

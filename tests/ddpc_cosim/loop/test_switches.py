@@ -34,7 +34,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.description import describe
 from ddpc_cosim.inspection import as_data, inspect_fmu
-from ddpc_cosim.study.cases import doing_nothing, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import doing_nothing
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import report_writer
 from ddpc_cosim.suggestion import suggest_study

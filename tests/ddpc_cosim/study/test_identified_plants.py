@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ddpc_cosim import ConfigError, Constant, Identification, Problem, Study
 from ddpc_cosim.cli.summary import summary_table
-from ddpc_cosim.study.cases import run_case
+from ddpc_cosim.study.case_runs import run_case
 from ddpc_cosim.study.reading import read_study
 from tests.studies import cases_in, study_text, write
 

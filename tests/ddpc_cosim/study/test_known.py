@@ -24,7 +24,8 @@ from ddpc_cosim import (
     UniformRandom,
 )
 from ddpc_cosim.loop.trace import Outcome
-from ddpc_cosim.study.cases import Case, _hash_of, doing_nothing, no_samples, row_store
+from ddpc_cosim.study.case_runs import no_samples, row_store
+from ddpc_cosim.study.cases import Case, _hash_of, doing_nothing
 from ddpc_cosim.study.reading import read_study
 
 from .file_format.test_validation_errors import errors_of

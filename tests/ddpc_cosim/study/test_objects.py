@@ -52,7 +52,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.codec import read
 from ddpc_cosim.signals.excitations import excitation_of, excited_together
-from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import RecordingSection, ScenarioSection
 from ddpc_cosim.study.file_format.written import controller_table, experiment_table, signal_table
 from ddpc_cosim.study.reading import read_study

@@ -21,7 +21,8 @@ from ddpc_cosim import (
     Variable,
     load_results,
 )
-from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.plants import PythonPlant
 
 Run = Callable[..., CompletedProcess[str]]

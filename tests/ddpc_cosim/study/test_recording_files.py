@@ -22,7 +22,8 @@ from ddpc_cosim import (
     Variable,
     record,
 )
-from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.variables import names
 

@@ -20,7 +20,8 @@ from ddpc_cosim import (
     check_settings,
     setting,
 )
-from ddpc_cosim.study.cases import Case, run_case
+from ddpc_cosim.study.case_runs import run_case
+from ddpc_cosim.study.cases import Case
 
 
 @dataclass(kw_only=True)
