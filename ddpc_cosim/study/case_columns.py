@@ -6,6 +6,7 @@ from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from sys import intern
 from typing import Any, Protocol, Self
 
 from ddpc_cosim.study.case_files import CaseResult
@@ -207,7 +208,9 @@ def _of_field(name: str, values: Sequence[Any]) -> Column:
     names = dict.fromkeys(map(tuple, values)) if name in _OF_NUMBERS else ()
     if len(names) != 1:
         return _column(values)
-    return _OfNumbers({name: _column([value[name] for value in values]) for name in next(iter(names))})
+    # Other cases have the same names.
+    columns = {intern(name): _column([value[name] for value in values]) for name in next(iter(names))}
+    return _OfNumbers(columns)
 
 
 def _column(values: Sequence[Any]) -> Column:

@@ -684,8 +684,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
 
 
 def _numbers(stored: Mapping[str, Any]) -> dict[str, float]:
-    # Many cases have the same names.
-    return {sys.intern(name): float(value) for name, value in stored.items()}
+    return {name: float(value) for name, value in stored.items()}
 
 
 def read_trace(folder: Path) -> Trace:
