@@ -405,14 +405,15 @@ def step_down(values: FloatArray, members: _Places2) -> FloatArray:
     count = np.zeros(len(values), dtype=np.int64)
     tests, seeds = values.shape
     most = min(_MOST_VALUES // tests, _MOST_SIGNS // seeds)
-    signs = _signs(seeds, min(_DRAWS, max(_FEWEST_DRAWS, most)))
-    for part in np.array_split(signs, math.ceil(len(signs) * max(tests, seeds) / _AT_ONCE)):
-        sizes = abs(values @ part.T.astype(float))[::-1]
+    turned = _turned(seeds, min(_DRAWS, max(_FEWEST_DRAWS, most)))
+    for part in np.array_split(turned, math.ceil(len(turned) * max(tests, seeds) / _AT_ONCE)):
+        signs = 1.0 - 2.0 * np.unpackbits(part, axis=1, count=seeds)
+        sizes = abs(values @ signs.T)[::-1]
         # The largest of those from each place on: of the differences that are no more significant.
         np.maximum.accumulate(sizes, axis=0, out=sizes)
         count += (sizes[::-1] >= least[:, None]).sum(axis=1)
     p = np.empty(len(values))
-    p[order] = np.maximum.accumulate(count / len(signs))
+    p[order] = np.maximum.accumulate(count / len(turned))
     return p
 
 
@@ -432,17 +433,17 @@ def _scales(values: FloatArray, counts: _Places, members: _Places2) -> FloatArra
 
 
 @lru_cache(maxsize=2)
-def _signs(n: int, draws: int) -> np.ndarray[tuple[int, int], np.dtype[np.int8]]:
-    """Return ways to give n values signs, the given ones first; of those that mirror each other one."""
+def _turned(n: int, draws: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
+    """Return ways to turn the signs of n values, none first, in bits; of those that mirror each other one."""
     if n <= _EXACT:
         bits = np.arange(2 ** (n - 1))[:, None] >> np.arange(n - 1) & 1
-        return np.pad(1 - 2 * bits, ((0, 0), (1, 0)), constant_values=1).astype(np.int8)
-    signs = np.ones((draws + 1, n), np.int8)
+        return np.packbits(np.pad(bits, ((0, 0), (1, 0))), axis=1)
+    turned = np.zeros((draws + 1, -(-n // 8)), np.uint8)
     rng = np.random.default_rng(0)
-    for row in signs:  # one by one: what is drawn has eight times their memory
-        row[1:] -= (2 * rng.integers(0, 2, n - 1)).astype(np.int8)
-    signs[0] = 1
-    return signs
+    for row in turned:  # one by one: what is drawn has 64 times their memory
+        row[:] = np.packbits(np.concatenate([[0], rng.integers(0, 2, n - 1)]))
+    turned[0] = 0
+    return turned
 
 
 def median_interval(values: FloatArray) -> tuple[float, float]:
@@ -478,7 +479,9 @@ def _resampled_medians(n: int) -> tuple[FloatArray, _Places, _Places]:
     below = half * np.log(place / n) + np.log1p(-(((place - 1) / place) ** half))
     table = np.add.outer(below[likely], below[::-1][likely])
     table += scipy.special.gammaln(n + 1) - 2 * scipy.special.gammaln(half + 1)
-    table = np.exp(table, out=np.zeros_like(table), where=np.triu(np.ones(table.shape, bool), 1))
+    above = np.triu(np.ones(table.shape, bool), 1)
+    np.exp(table, out=table, where=above)
+    table[~above] = 0.0
     np.fill_diagonal(table, weights[likely] - table.sum(axis=1))
     lower, upper = np.nonzero(table > _NEVER)  # of many values the two middle ones are neighbours, or nearly
     return table[lower, upper], likely[lower], likely[upper]
