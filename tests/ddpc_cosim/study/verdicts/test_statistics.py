@@ -14,7 +14,7 @@ from ddpc_cosim import ConfigError
 from ddpc_cosim.study.verdicts.statistics import (
     Comparisons,
     Runs,
-    _signs,
+    _turned,
     compare,
     compare_all,
     compare_frame,
@@ -88,11 +88,13 @@ def test_the_bootstrap_interval_of_many_values_is_about_that_of_the_normal_law()
         assert low + high == pytest.approx(1)
 
 
-def test_signs_of_many_values_are_drawn_as_those_of_few_and_take_a_byte_each() -> None:
+def test_signs_of_many_values_are_drawn_as_those_of_few_and_take_a_bit_each() -> None:
     drawn = np.random.default_rng(0).integers(0, 2, (1000, 29))
-    assert (_signs(30, 999)[1:, 1:] == 1 - 2 * drawn[1:]).all()
-    assert (_signs(30, 999)[0] == 1).all()
-    assert _signs(100_000, 9).nbytes == 1_000_000
+    turned = np.unpackbits(_turned(30, 999), axis=1, count=30)
+    assert (turned[1:, 1:] == drawn[1:]).all()
+    assert not turned[:, 0].any()
+    assert not turned[0].any()
+    assert _turned(100_000, 9).nbytes == 125_000
 
 
 def test_of_a_hundred_thousand_values_a_shift_is_told_from_none() -> None:
