@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ddpc_cosim.study.verdicts.statistics import _signs, step_down
+from ddpc_cosim.study.verdicts.statistics import _turned, step_down
 
 PAIRS = np.array([*combinations(range(14), 2)])
 SCENES = ("all vary alike", "one controller varies 30 times as much", "each level has its noise")
@@ -18,7 +18,8 @@ Array = np.ndarray
 
 def p_values(rows: Array, statistic: Callable[[Array], Array]) -> Array:
     """Return step-down max-T p-values by any statistic of flipped rows, shape (tests, flips, seeds)."""
-    signs = _signs(rows.shape[1], 999)
+    seeds = rows.shape[1]
+    signs = 1 - 2 * np.unpackbits(_turned(seeds, 999), axis=1, count=seeds).astype(np.int8)
     statistics = np.concatenate(
         [statistic(rows[:, None] * part) for part in np.array_split(signs, 16)], axis=1
     )
