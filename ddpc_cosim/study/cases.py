@@ -326,10 +326,6 @@ class CaseSeries(Sequence[Case]):
     def __len__(self) -> int:
         return len(self.seeds)
 
-    def __reduce__(self) -> tuple[Any, ...]:  # without what is of other seeds
-        parameters = {seed: self.parameters[seed] for seed in self.seeds}
-        return type(self), (self.case, self.seeds, parameters, [*self.ids])
-
     def at(self, places: Sequence[int]) -> Self:
         """Return those in some places, in their order."""
         ids = self.ids.at(places) if isinstance(self.ids, _Ids) else [self.ids[place] for place in places]

@@ -1,6 +1,5 @@
 """Cases that are made when they are looked at: a list of cases that were made would say the same."""
 
-import pickle
 from collections.abc import Sequence
 from typing import Any
 
@@ -69,13 +68,6 @@ def test_ids_are_different_and_those_of_doing_nothing_do_not_depend_on_how_cases
     assert len({*cases.ids(), *resting.ids()}) == len(cases) + 2 * 5
     masses = {(case.seed, case.parameters["mass"]) for case in (*cases, *resting)}
     assert len(masses) == 5
-
-
-def test_a_part_that_is_sent_to_a_process_has_nothing_of_the_others(cases: Cases) -> None:
-    series = cases.series[0]
-    sent = pickle.loads(pickle.dumps(series[1:3]))
-    assert told(sent) == told([*cases][1:3])
-    assert set(sent.parameters) == {6, 7}
 
 
 def test_they_are_parted_by_their_ids(cases: Cases) -> None:
